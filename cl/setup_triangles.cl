@@ -1,0 +1,187 @@
+// Finds each triangle's canonical conservative screen bound, empty where no sample can see it.
+//
+// DESIGN section 1: a sample counts only inside this bound, in every method. Davidovic et al., '3D
+// Rasterization', section 3.2: no projection is needed to decide a sample; here vertices are projected
+// only to bound where samples may lie, and a triangle that crosses the eye's plane is never clipped:
+// the image's rectangle is clipped by its three edge functions instead (in 2D, in floats, for a bound).
+//   for 16 triangles at a time:
+//     r = p - eye; depth, X, Y by the inverse of (dx, dy, d)
+//     in front: box of the three (X, Y), widened by the rounding error
+//     crossing: box of the image's rectangle clipped by V_0, V_1, V_2
+// Good at: many small triangles (no record of 3D setup leaves the registers). Bad at: nothing known.
+//
+// How far a bound must be widened. With F pixels per unit of tangent, a projected coordinate X has
+// numerator and denominator errors of a few 2^-24 of |r|, hence an error in pixels of a few 2^-24 of
+// (F + |X|) |r| / depth, and |r| / depth <= 1 + (|X| + |Y|) / F. An edge function misplaces its edge by
+// a few 2^-24 F (1 + (X^2 + Y^2) / F^2): the neighbour that is given a sample so must have it in its bound.
+// Both are under BOUND_SLACK (F + |X| + |Y|)^2 / F. Orthographic views take F = (largest distance) / pixel size.
+// Tests: tests/test_rasterizer.py (bounds contain every sample that the exact reference covers).
+
+#include "vector.clh"
+#include "edge_function.clh"
+
+#define CORNER_CAPACITY 8
+
+// The three edge functions of one lane, as scalars.
+typedef struct { float c[3], gx[3], gy[3]; } LaneEdges;
+
+// Clips the image's rectangle by the edges; returns false where nothing is left, else min and max X, Y.
+// Each half-plane is moved outwards by the forward error of the edge's evaluation.
+static bool clip_screen_bound(LaneEdges edges, float half_width, float half_height, float4 *bound) {
+  float x[CORNER_CAPACITY] = {-half_width, half_width, half_width, -half_width};
+  float y[CORNER_CAPACITY] = {-half_height, -half_height, half_height, half_height};
+  int corner_count = 4;
+  for (int i = 0; i < 3; ++i) {
+    const float slack =
+        EDGE_SLACK * (fabs(edges.c[i]) + half_width * fabs(edges.gx[i]) + half_height * fabs(edges.gy[i]));
+    float new_x[CORNER_CAPACITY], new_y[CORNER_CAPACITY];
+    int new_count = 0;
+    for (int k = 0; k < corner_count; ++k) {
+      const int next = k + 1 < corner_count ? k + 1 : 0;
+      const float v = (edges.c[i] + x[k] * edges.gx[i]) + y[k] * edges.gy[i] + slack;
+      const float v_next = (edges.c[i] + x[next] * edges.gx[i]) + y[next] * edges.gy[i] + slack;
+      if (v >= 0.0f && new_count < CORNER_CAPACITY) {
+        new_x[new_count] = x[k];
+        new_y[new_count++] = y[k];
+      }
+      if ((v >= 0.0f) != (v_next >= 0.0f) && new_count < CORNER_CAPACITY) {
+        const float s = v / (v - v_next);
+        new_x[new_count] = x[k] + s * (x[next] - x[k]);
+        new_y[new_count++] = y[k] + s * (y[next] - y[k]);
+      }
+    }
+    corner_count = new_count;
+    for (int k = 0; k < corner_count; ++k) { x[k] = new_x[k]; y[k] = new_y[k]; }
+  }
+  if (corner_count == 0) return false;
+  float4 box = (float4)(x[0], y[0], x[0], y[0]);
+  for (int k = 1; k < corner_count; ++k)
+    box = (float4)(min(box.x, x[k]), min(box.y, y[k]), max(box.z, x[k]), max(box.w, y[k]));
+  // Half a pixel covers the rounding of the corners' positions.
+  *bound = box + (float4)(-0.5f, -0.5f, 0.5f, 0.5f);
+  return true;
+}
+
+// First and one past the last column whose centre lies in [low, high], clamped to [0, size].
+INLINE int_v first_center(float_v low, float center, uint size) {
+  const float_v first = ceil(low + (center - 0.5f));
+  return TO_INT_V(min(max(first, 0.0f), (float)size));
+}
+
+INLINE int_v end_center(float_v high, float center, uint size) {
+  const float_v last = floor(high + (center - 0.5f)) + 1.0f;
+  return TO_INT_V(min(max(last, 0.0f), (float)size));
+}
+
+// Where a vertex lies: X and Y from the image's centre in pixels, depth along the view axis.
+typedef struct { float_v x, y, depth; int_v crossing, behind; } ScreenPoint;
+
+INLINE ScreenPoint project_point(Vec3 p, View view) {
+  const Vec3 r = subtract(p, broadcast(view.origin));
+  ScreenPoint point;
+  point.x = dot3s(r, view.inverse_x);
+  point.y = dot3s(r, view.inverse_y);
+  point.depth = dot3s(r, view.inverse_w);
+  const float_v margin = (fabs(r.x) + fabs(r.y) + fabs(r.z)) * CROSSING_RATIO;
+#if PROJECTION == PROJECTION_ORTHOGRAPHIC
+  // Affine: a vertex behind the origin's plane projects as well as any other.
+  point.crossing = (int_v)(0);
+#else
+  const float_v nearness = 1.0f / point.depth;
+  point.x *= nearness;
+  point.y *= nearness;
+  point.crossing = !(point.depth > margin);
+#endif
+  point.behind = point.depth < -margin;
+  return point;
+}
+
+// Bounds of the lanes whose triangle crosses the eye's plane, from its edge functions.
+INLINE void bound_crossing_lanes(
+    const int *crossing,  // [VECTOR_WIDTH]
+    TriangleSetup setup,
+    View view,
+    uint *low,            // [VECTOR_WIDTH] in and out: x0 | y0 << 16
+    uint *high)           // [VECTOR_WIDTH] in and out: x1 | y1 << 16
+{
+  float coefficient[9][VECTOR_WIDTH];
+  int valid[VECTOR_WIDTH];
+  for (uint i = 0; i < 3; ++i) {
+    STORE_V(setup.edge[i].c, coefficient[3 * i]);
+    STORE_V(setup.edge[i].gx, coefficient[3 * i + 1]);
+    STORE_V(setup.edge[i].gy, coefficient[3 * i + 2]);
+  }
+  STORE_V(setup.valid, valid);
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
+    if (!crossing[lane]) continue;
+    LaneEdges edges;
+    for (uint i = 0; i < 3; ++i) {
+      edges.c[i] = coefficient[3 * i][lane];
+      edges.gx[i] = coefficient[3 * i + 1][lane];
+      edges.gy[i] = coefficient[3 * i + 2][lane];
+    }
+    low[lane] = high[lane] = 0;
+    float4 bound;
+    if (!valid[lane] || !clip_screen_bound(edges, view.center_x, view.center_y, &bound)) continue;
+    const int x0 = clamp((int)ceil(bound.x + (view.center_x - 0.5f)), 0, (int)view.width);
+    const int y0 = clamp((int)ceil(bound.y + (view.center_y - 0.5f)), 0, (int)view.height);
+    const int x1 = clamp((int)floor(bound.z + (view.center_x - 0.5f)) + 1, 0, (int)view.width);
+    const int y1 = clamp((int)floor(bound.w + (view.center_y - 0.5f)) + 1, 0, (int)view.height);
+    low[lane] = x0 | y0 << 16;
+    high[lane] = x1 | y1 << 16;
+  }
+}
+
+// Reads: positions, indices (host). Writes: bounds (for bin_triangles.cl).
+// Work item: one chunk of triangles. Local memory: 0 bytes.
+kernel void setup_triangles(
+    View view,                                // camera and image
+    uint triangle_count,
+    uint chunk_size,                          // triangles a chunk, a multiple of VECTOR_WIDTH
+    global const float4 *restrict positions,  // [vertex_count] world space times world_scale
+    global const uint *restrict indices,      // [3 * triangle_count] vertex indices
+    global uint *restrict bounds_low,         // [padded triangle_count] x0 | y0 << 16, first column and row
+    global uint *restrict bounds_high)        // [padded triangle_count] x1 | y1 << 16, one past the last
+{
+  const uint begin = get_global_id(0) * chunk_size;
+  const uint end = min(begin + chunk_size, triangle_count);
+  for (uint k = begin; k < end; k += VECTOR_WIDTH) {
+    const TriangleIndices corners = load_indices(indices, k, triangle_count);
+    const Vec3 p0 = gather_points(positions, corners.corner[0]);
+    const Vec3 p1 = gather_points(positions, corners.corner[1]);
+    const Vec3 p2 = gather_points(positions, corners.corner[2]);
+    const ScreenPoint a = project_point(p0, view);
+    const ScreenPoint b = project_point(p1, view);
+    const ScreenPoint c = project_point(p2, view);
+
+    // In front of the eye: the box of three points, widened.
+    const float_v x_low = min(a.x, min(b.x, c.x)), x_high = max(a.x, max(b.x, c.x));
+    const float_v y_low = min(a.y, min(b.y, c.y)), y_high = max(a.y, max(b.y, c.y));
+    const float_v reach = max(max(-x_low, x_high), 0.0f) + max(max(-y_low, y_high), 0.0f) + view.focal;
+    const float_v slack = reach * reach * (BOUND_SLACK / view.focal);
+    const int_v x0 = first_center(x_low - slack, view.center_x, view.width);
+    const int_v y0 = first_center(y_low - slack, view.center_y, view.height);
+    const int_v x1 = end_center(x_high + slack, view.center_x, view.width);
+    const int_v y1 = end_center(y_high + slack, view.center_y, view.height);
+    // Lanes past the last triangle, like triangles behind the eye and empty boxes, get the bound 0, 0.
+    const int_v behind = a.behind & b.behind & c.behind;
+    const int_v dropped = behind | (x0 >= x1) | (y0 >= y1) | (LANES >= (int)(triangle_count - k));
+    const uint_v low = AS_UINT_V(dropped ? (int_v)(0) : x0 | y0 << 16);
+    const uint_v high = AS_UINT_V(dropped ? (int_v)(0) : x1 | y1 << 16);
+    STORE_V(low, bounds_low + k);
+    STORE_V(high, bounds_high + k);
+#if PROJECTION != PROJECTION_ORTHOGRAPHIC
+    const int_v crossing = (a.crossing | b.crossing | c.crossing) & !behind & (LANES < (int)(triangle_count - k));
+    if (ANY_LANE(crossing)) {
+      int lane_crossing[VECTOR_WIDTH];
+      uint lane_low[VECTOR_WIDTH], lane_high[VECTOR_WIDTH];
+      STORE_V(crossing, lane_crossing);
+      STORE_V(low, lane_low);
+      STORE_V(high, lane_high);
+      bound_crossing_lanes(lane_crossing, setup_triangle(p0, p1, p2, view), view, lane_low, lane_high);
+      STORE_V(LOAD_V(lane_low), bounds_low + k);
+      STORE_V(LOAD_V(lane_high), bounds_high + k);
+    }
+#endif
+  }
+}

@@ -1,0 +1,290 @@
+// Shades the visible triangle of each sample, once: deferred shading of primary hits.
+//
+// Durand, 'A Unifying Paradigm', section 7 (deferred shading: a sample is shaded after visibility is
+// known, so never twice). The edge functions of the visible triangle are evaluated again at the
+// sample; their ratios are its barycentrics (Davidovic et al., section 3.2: lambda_i = V_i / sum V).
+//   hit = visible_prims[pixel];  setup_triangle(hit);  b_i = V_i / (V_0 + V_1 + V_2)
+//   write what was asked for: depth, position, normals, uv, albedo, colour, ids
+// Light: the scene's punctual lights without shadows (KHR_lights_punctual), with glTF's
+// metallic-roughness model; where there are none a headlight, radiance = base colour x cosine.
+// Good at: any number of triangles. Bad at: many lights (each is evaluated). Tests: tests/test_shading.py.
+
+#include "vector.clh"
+#include "edge_function.clh"
+#include "surface.clh"
+
+#define PI 3.14159265358979323846f
+
+static inline float dot_f4(float4 a, float4 b) { return (a.x * b.x + a.y * b.y) + a.z * b.z; }
+
+// Unit vector along v, or 0 where v is 0; scaled first, so that no square leaves float32's range.
+static inline float4 unit(float4 v) {
+  const float largest = max(max(fabs(v.x), fabs(v.y)), fabs(v.z));
+  if (!(largest > 0.0f)) return (float4)(0.0f);
+  const float4 s = (float4)(v.x / largest, v.y / largest, v.z / largest, 0.0f);
+  const float length = sqrt(dot_f4(s, s));
+  return (float4)(s.x / length, s.y / length, s.z / length, 0.0f);
+}
+
+// Light that arrives at a point, per unit of cosine, and the unit direction to where it comes from.
+static inline float4 incoming(Light light, float4 point, float4 *to_light) {
+  if (light.kind == LIGHT_DIRECTIONAL) {
+    *to_light = -light.direction;
+    return light.intensity;
+  }
+  const float4 way = light.position - point;
+  const float distance2 = dot_f4(way, way);
+  *to_light = unit(way);
+  if (!(distance2 > 0.0f)) return (float4)(0.0f);
+  float factor = 1.0f / distance2;
+  if (light.range > 0.0f) {
+    const float share = distance2 / (light.range * light.range);
+    factor *= max(1.0f - share * share, 0.0f);
+  }
+  if (light.kind == LIGHT_SPOT) {
+    const float cosine = -dot_f4(*to_light, light.direction);
+    const float span = max(light.cos_inner - light.cos_outer, 0.001f);
+    const float inside = min(max((cosine - light.cos_outer) / span, 0.0f), 1.0f);
+    factor *= inside * inside;
+  }
+  return light.intensity * factor;
+}
+
+// glTF 2.0, appendix B: Lambert and GGX with Schlick's Fresnel term; n, v, l unit, n towards the viewer.
+static inline float4 reflected(float4 base, float metallic, float roughness, float4 n, float4 v, float4 l) {
+  const float n_l = dot_f4(n, l), n_v = max(dot_f4(n, v), 1e-4f);
+  if (!(n_l > 0.0f)) return (float4)(0.0f);
+  const float4 h = unit(l + v);
+  const float n_h = max(dot_f4(n, h), 0.0f), v_h = max(dot_f4(v, h), 0.0f);
+  const float alpha = max(roughness * roughness, 0.002f), alpha2 = alpha * alpha;
+  const float bell = n_h * n_h * (alpha2 - 1.0f) + 1.0f;
+  const float distribution = alpha2 / (PI * bell * bell);
+  const float smith = n_l * sqrt(n_v * n_v * (1.0f - alpha2) + alpha2) + n_v * sqrt(n_l * n_l * (1.0f - alpha2) + alpha2);
+  const float c = 1.0f - v_h, c5 = (c * c) * (c * c) * c;
+  const float4 f0 = base * metallic + (float4)(0.04f * (1.0f - metallic));
+  const float4 fresnel = f0 + ((float4)(1.0f) - f0) * c5;
+  const float4 diffuse = base * ((1.0f - metallic) / PI) * ((float4)(1.0f) - fresnel);
+  return (diffuse + fresnel * (distribution * 0.5f / smith)) * n_l;
+}
+
+// Everything about a hit that outputs are made from; world space, w unused.
+typedef struct {
+  SurfacePoint at;
+  float t;              // ray parameter
+  float4 direction;     // d as used
+  float4 position;
+  float4 geometric_normal, shading_normal;
+} Hit;
+
+static inline float4 interpolate_normal(global const float4 *normals, SurfacePoint at, float4 geometric) {
+#if NORMAL_INTERPOLATION
+  const float4 n0 = normals[at.i0], n1 = normals[at.i1], n2 = normals[at.i2];
+  // A vertex without a normal has 0: then the triangle is flat.
+  if (!(dot_f4(n0, n0) > 0.0f) || !(dot_f4(n1, n1) > 0.0f) || !(dot_f4(n2, n2) > 0.0f)) return geometric;
+  const float4 n = unit((n0 * at.b0 + n1 * at.b1) + n2 * at.b2);
+  return dot_f4(n, n) > 0.0f ? n : geometric;
+#else
+  return geometric;
+#endif
+}
+
+// Evaluates the visible triangle at the sample (x, y), counted from the image's centre.
+static inline Hit find_hit(
+    View view, uint prim_id, float x, float y, float4 direction,
+    global const float4 *positions, global const uint *indices, global const float4 *normals) {
+  Hit hit;
+  hit.at.prim_id = prim_id;
+  hit.at.i0 = indices[3 * prim_id];
+  hit.at.i1 = indices[3 * prim_id + 1];
+  hit.at.i2 = indices[3 * prim_id + 2];
+  const float4 p0 = positions[hit.at.i0], p1 = positions[hit.at.i1], p2 = positions[hit.at.i2];
+  const Vec3 a = {p0.x, p0.y, p0.z}, b = {p1.x, p1.y, p1.z}, c = {p2.x, p2.y, p2.z};
+  const TriangleSetup setup = setup_triangle(a, b, c, view);
+  float v[3];
+  for (uint i = 0; i < 3; ++i) v[i] = edge_value(setup.edge[i].c, setup.edge[i].gx, setup.edge[i].gy, x, y);
+  weigh_vertices(&hit.at, v[0], v[1], v[2]);
+  const float near = edge_value(setup.depth_c, setup.depth_x, setup.depth_y, x, y);
+#if PROJECTION == PROJECTION_ORTHOGRAPHIC
+  hit.t = -near / view.world_scale;
+#else
+  hit.t = (1.0f / near) / view.world_scale;
+#endif
+  hit.direction = direction;
+  hit.position = ((p0 * hit.at.b0 + p1 * hit.at.b1) + p2 * hit.at.b2) / view.world_scale;
+  const Vec3 plane = cross3(subtract(b, a), subtract(c, a));
+  hit.geometric_normal = unit((float4)(plane.x, plane.y, plane.z, 0.0f));
+  hit.shading_normal = interpolate_normal(normals, hit.at, hit.geometric_normal);
+  return hit;
+}
+
+// Radiance towards the viewer; not premultiplied.
+static inline float4 shade(
+    Surfaces surfaces, Hit hit, Material material, float4 base, uint light_count, global const Light *lights) {
+  float4 radiance = (float4)(0.0f);
+#if EMISSION
+  float4 emitted = material.emissive;
+#if TEXTURES
+  if (material.emissive_texture != NO_TEXTURE) {
+    const float2 uv = lookup_uv(
+        surfaces, hit.at, material.emissive_lookup, material.emissive_u, material.emissive_v);
+    emitted *= lookup_texture(surfaces, material.emissive_texture, material.emissive_lookup, uv);
+  }
+#endif
+  radiance += emitted;
+#endif
+  if (material.flags & MATERIAL_UNLIT) return radiance + base;
+  const float4 to_viewer = -unit(hit.direction);
+  const float side = dot_f4(hit.geometric_normal, to_viewer) < 0.0f ? -1.0f : 1.0f;
+  const float4 n = hit.shading_normal * side;
+#if LIT
+  for (uint i = 0; i < light_count; ++i) {
+    float4 to_light;
+    const float4 arriving = incoming(lights[i], hit.position, &to_light);
+    if (dot_f4(hit.geometric_normal * side, to_light) > 0.0f)
+      radiance += arriving * reflected(base, material.metallic, material.roughness, n, to_viewer, to_light);
+  }
+#else
+  radiance += base * fabs(dot_f4(n, to_viewer));
+#endif
+  return radiance;
+}
+
+static inline void store3(global float *planes, size_t stride, float4 value) {
+  planes[0] = value.x;
+  planes[stride] = value.y;
+  planes[2 * stride] = value.z;
+}
+
+// Puts colour over what is in front of it already: premultiplied, the nearest layer first.
+static inline void store_color(global float *color, size_t stride, float4 radiance, float alpha, uint layer) {
+  float4 front = (float4)(0.0f);
+  if (layer > 0) front = (float4)(color[0], color[stride], color[2 * stride], color[3 * stride]);
+  const float share = alpha * (1.0f - front.w);
+  color[0] = front.x + radiance.x * share;
+  color[stride] = front.y + radiance.y * share;
+  color[2 * stride] = front.z + radiance.z * share;
+  color[3 * stride] = front.w + share;
+}
+
+// Reads: visible_prims (rasterize_tiles), scene buffers (host). Writes: values, ids (host), open_pixels
+// (host: whether another layer is called for). Work item: one pixel. Local memory: 0 bytes.
+kernel void shade_hits(
+    View view,
+    Planes planes,                                 // where each group of channels goes
+    uint pixel_count,                              // of the band
+    uint light_count,
+    uint layer,                                    // 0, then 1.. for what lies behind BLEND surfaces
+    global const float4 *restrict positions,       // [vertex_count] world space times world_scale
+    global const uint *restrict indices,           // [3 * triangle_count]
+    global const float4 *restrict normals,         // [vertex_count] unit or 0
+    global const float2 *restrict uv,              // [vertex_count]
+    global const float2 *restrict uv1,             // [vertex_count]
+    global const float4 *restrict colors,          // [vertex_count] linear
+    global const uint *restrict object_ids,        // [triangle_count]
+    global const uint *restrict material_ids,      // [triangle_count]
+    global const Material *restrict materials,     // [material_count]
+    global const Texture *restrict textures,       // [texture_count]
+    global const uchar4 *restrict texels,          // of all textures
+    global const float *restrict srgb_to_linear,   // [256]
+    global const Light *restrict lights,           // [light_count]
+    global const uint *restrict visible_prims,     // [pixel_count] prim_id or NO_HIT
+    global float *restrict values,                 // [planes * pixel_count]
+    global uint *restrict ids,                     // [2 * pixel_count] object, material
+    global uchar *restrict open_pixels)            // [pixel_count] 1 where the hit is a BLEND surface
+{
+  const uint pixel = get_global_id(0);
+  if (pixel >= pixel_count) return;
+  const uint column = pixel % view.width, row = pixel / view.width + (view.band_row << TILE_LOG2);
+  const float x = (float)column + (0.5f - view.center_x), y = (float)row + (0.5f - view.center_y);
+  const size_t stride = pixel_count;
+  global float *out = values + pixel;
+
+#if PROJECTION == PROJECTION_ORTHOGRAPHIC
+  const float4 direction = view.axis;
+#else
+  const float4 direction =
+      (view.first + view.tangent_x * ((float)column + 0.5f)) + view.tangent_y * ((float)row + 0.5f);
+#endif
+  if (planes.ray != PLANE_NONE && layer == 0) {
+    store3(out + planes.ray * stride, stride, direction);
+#if PROJECTION == PROJECTION_ORTHOGRAPHIC
+    store3(out + (planes.ray + 3) * stride, stride, view.tangent_x / view.world_scale);
+    store3(out + (planes.ray + 6) * stride, stride, view.tangent_y / view.world_scale);
+#else
+    store3(out + (planes.ray + 3) * stride, stride, view.tangent_x);
+    store3(out + (planes.ray + 6) * stride, stride, view.tangent_y);
+#endif
+  }
+
+  const uint prim_id = visible_prims[pixel];
+  if (prim_id == NO_HIT) {
+    open_pixels[pixel] = 0;
+    if (layer > 0) return;
+    const float4 nothing = (float4)(0.0f);
+    if (planes.color != PLANE_NONE) store_color(out + planes.color * stride, stride, nothing, 0.0f, 0);
+    if (planes.depth != PLANE_NONE) out[planes.depth * stride] = INFINITY;
+    if (planes.distance != PLANE_NONE) out[planes.distance * stride] = INFINITY;
+    if (planes.normal != PLANE_NONE) {
+      store3(out + planes.normal * stride, stride, nothing);
+      store3(out + (planes.normal + 3) * stride, stride, nothing);
+    }
+    if (planes.position != PLANE_NONE) store3(out + planes.position * stride, stride, nothing);
+    if (planes.bary != PLANE_NONE) out[planes.bary * stride] = out[(planes.bary + 1) * stride] = 0.0f;
+    if (planes.uv != PLANE_NONE) out[planes.uv * stride] = out[(planes.uv + 1) * stride] = 0.0f;
+    if (planes.albedo != PLANE_NONE) store3(out + planes.albedo * stride, stride, nothing);
+    if (planes.id != PLANE_NONE) ids[pixel] = ids[stride + pixel] = NO_HIT;
+    return;
+  }
+
+  const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
+  const Hit hit = find_hit(view, prim_id, x, y, direction, positions, indices, normals);
+  const uint material_id = material_ids[prim_id];
+  if (layer == 0) {
+    if (planes.depth != PLANE_NONE) out[planes.depth * stride] = hit.t;
+    if (planes.distance != PLANE_NONE) out[planes.distance * stride] = hit.t * sqrt(dot_f4(direction, direction));
+    if (planes.normal != PLANE_NONE) {
+      store3(out + planes.normal * stride, stride, hit.shading_normal);
+      store3(out + (planes.normal + 3) * stride, stride, hit.geometric_normal);
+    }
+    if (planes.position != PLANE_NONE) store3(out + planes.position * stride, stride, hit.position);
+    if (planes.bary != PLANE_NONE) {
+      out[planes.bary * stride] = hit.at.b1;
+      out[(planes.bary + 1) * stride] = hit.at.b2;
+    }
+    if (planes.uv != PLANE_NONE) {
+      const float2 at = interpolate_uv(uv, hit.at);
+      out[planes.uv * stride] = at.x;
+      out[(planes.uv + 1) * stride] = at.y;
+    }
+    if (planes.id != PLANE_NONE) {
+      ids[pixel] = object_ids[prim_id];
+      ids[stride + pixel] = material_id;
+    }
+  }
+  if (planes.color == PLANE_NONE && planes.albedo == PLANE_NONE) return;
+  const Material material = materials[material_id];
+  const float4 base = base_color(surfaces, material, hit.at);
+  if (planes.albedo != PLANE_NONE && layer == 0) store3(out + planes.albedo * stride, stride, base);
+  if (planes.color == PLANE_NONE) return;
+#if ALPHA_BLEND
+  const bool blends = (material.flags & MATERIAL_BLEND) != 0;
+#else
+  const bool blends = false;
+#endif
+  const float alpha = blends ? min(max(base.w, 0.0f), 1.0f) : 1.0f;
+  store_color(out + planes.color * stride, stride, shade(surfaces, hit, material, base, light_count, lights), alpha, layer);
+  open_pixels[pixel] = blends ? 1 : 0;
+}
+
+// Reads: open_pixels (shade_hits). Writes: front_nearness (for rasterize_tiles with a layer in front): the
+// nearness of nothing where the layer is opaque, so that no sample lies behind it.
+// Work item: one pixel. Local memory: 0 bytes.
+kernel void close_pixels(
+    uint pixel_count,                             // of the band
+    global const uchar *restrict open_pixels,     // [pixel_count]
+    global float *restrict front_nearness)        // [pixel_count]
+{
+  const uint pixel = get_global_id(0);
+  if (pixel >= pixel_count) return;
+  if (!open_pixels[pixel]) front_nearness[pixel] = NEARNESS_OF_NOTHING;
+}

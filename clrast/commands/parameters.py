@@ -1,0 +1,130 @@
+"""The options of `render` as typer sees them: flags, placeholders and help, no values.
+
+Every value arrives as a list of texts, so that an option given twice can be seen; parsing and
+checking is in clrast/options.py.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+Texts = list[str] | None
+
+
+def _option(*flags: str, metavar: str, text: str, panel: str) -> object:
+    return typer.Option(*flags, metavar=metavar, help=text, rich_help_panel=panel, show_default=False)
+
+
+def _switch(*flags: str, text: str, panel: str) -> object:
+    return typer.Option(*flags, help=text, rich_help_panel=panel, show_default=False)
+
+
+VIEW, ACCURACY, METHOD, EFFECTS, OUTPUTS, MACHINE = "View", "Accuracy", "Method", "Effects", "Outputs", "Machine"
+
+Input = Annotated[str, typer.Argument(metavar="INPUT", help="A mesh or a scene card.", show_default=False)]
+
+Size = Annotated[
+    Texts, _option("--size", metavar="WxH", text="Pixels [default: the card's, else 1024x1024].", panel=VIEW)
+]
+Eye = Annotated[
+    Texts, _option("--eye", metavar="X,Y,Z", text="The eye; replaces a camera of the file wholly.", panel=VIEW)
+]
+LookAt = Annotated[
+    Texts,
+    _option("--look-at", metavar="X,Y,Z", text="Where to look [default: the bounding box's centre].", panel=VIEW),
+]
+Up = Annotated[Texts, _option("--up", metavar="X,Y,Z", text="The way up [default: 0,1,0].", panel=VIEW)]
+Fov = Annotated[Texts, _option("--fov", metavar="DEG", text="Vertical angle of view [default: 45].", panel=VIEW)]
+CameraName = Annotated[
+    Texts,
+    _option("--camera", metavar="NAME|INDEX", text="A camera that the file brings [default: its first].", panel=VIEW),
+]
+ProjectionName = Annotated[
+    Texts,
+    _option("--projection", metavar="NAME", text="perspective or orthographic [default: the camera's].", panel=VIEW),
+]
+Height = Annotated[
+    Texts, _option("--height", metavar="H", text="Height of an orthographic view, world units.", panel=VIEW)
+]
+
+Precision = Annotated[
+    Texts, _option("--precision", metavar="RUNG", text="fast, ordered or midpoint [default: midpoint].", panel=ACCURACY)
+]
+Antialiasing = Annotated[
+    Texts, _option("--aa", metavar="MODE", text="none [default]; others in later versions.", panel=ACCURACY)
+]
+ShadingRate = Annotated[
+    Texts, _option("--shading-rate", metavar="RATE", text="pixel [default] or sample.", panel=ACCURACY)
+]
+Evaluation = Annotated[
+    Texts, _option("--evaluation", metavar="WAY", text="Edge functions: direct [default].", panel=ACCURACY)
+]
+Samples = Annotated[Texts, _option("--samples", metavar="N", text="Samples a pixel: 1 [default].", panel=ACCURACY)]
+Seed = Annotated[Texts, _option("--seed", metavar="N", text="Of random numbers [default: 0].", panel=ACCURACY)]
+MaxDepth = Annotated[Texts, typer.Option("--max-depth", metavar="N", hidden=True)]
+Quality = Annotated[Texts, typer.Option("--quality", metavar="NAME", hidden=True)]
+
+Method = Annotated[
+    Texts, _option("--method", metavar="NAME", text="auto or 3dr-binning [default: auto].", panel=METHOD)
+]
+Oracle = Annotated[Texts, typer.Option("--oracle", metavar="NAME=VALUE", hidden=True)]
+Intersection = Annotated[Texts, _option("--intersection", metavar="WAY", text="edge [default].", panel=METHOD)]
+Accelerator = Annotated[Texts, _option("--accelerator", metavar="NAME", text="auto [default].", panel=METHOD)]
+GridResolution = Annotated[Texts, typer.Option("--grid-resolution", metavar="N", hidden=True)]
+
+Mode = Annotated[Texts, _option("--mode", metavar="NAME", text="cast [default].", panel=EFFECTS)]
+Effects = Annotated[
+    Texts,
+    _option(
+        "--effects", metavar="NAME=STATE",
+        text="Force an effect: on, off or auto, as in alpha_mask=off; may be given again.", panel=EFFECTS,
+    ),
+]  # fmt: skip
+
+Output = Annotated[
+    Texts,
+    _option(
+        "-o", "--output", metavar="FILE",
+        text="x.exr (every channel asked for) or x.png (a tone-mapped picture); may be given twice.", panel=OUTPUTS,
+    ),
+]  # fmt: skip
+Aov = Annotated[
+    Texts,
+    _option(
+        "--aov", metavar="LIST",
+        text="Comma list of color, depth, distance, normal, position, bary, uv, albedo, ray, id, cost; "
+        "all is every group but cost [default: color,depth].",
+        panel=OUTPUTS,
+    ),
+]  # fmt: skip
+Stats = Annotated[
+    Texts, _option("--stats", metavar="FILE", text="Camera, counts, times and effects as JSON.", panel=OUTPUTS)
+]
+Counters = Annotated[bool, _switch("--counters", text="Count edge evaluations and more, for --stats.", panel=OUTPUTS)]
+Report = Annotated[bool, _switch("--report", text="Print effects with reasons, and times.", panel=OUTPUTS)]
+Json = Annotated[bool, _switch("--json", text="Print the stats as JSON in place of the report.", panel=OUTPUTS)]
+Quiet = Annotated[bool, _switch("-q", "--quiet", text="No notes and no progress; warnings stay.", panel=OUTPUTS)]
+
+Device = Annotated[
+    Texts,
+    _option("--device", metavar="SELECTOR", text="An OpenCL device, as 'clrast devices' lists them.", panel=MACHINE),
+]
+Threads = Annotated[Texts, _option("-t", "--threads", metavar="N", text="Processor threads to use.", panel=MACHINE)]
+Memory = Annotated[
+    Texts,
+    _option(
+        "--memory", metavar="BYTES",
+        text="Budget of device memory, such as 512M or 2G; larger images are rendered in bands.", panel=MACHINE,
+    ),
+]  # fmt: skip
+TimeBudget = Annotated[Texts, typer.Option("--time-budget", metavar="S", hidden=True)]
+Resume = Annotated[Texts, typer.Option("--resume", metavar="FILE", hidden=True)]
+Repeat = Annotated[
+    Texts,
+    _option(
+        "--repeat", metavar="N", text="A warm-up, then N frames; the stats have each stage's smallest time.",
+        panel=MACHINE,
+    ),
+]  # fmt: skip

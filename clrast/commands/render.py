@@ -1,0 +1,199 @@
+"""`clrast render`: from options and a file to images and stats."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from clrast.commands import messages
+from clrast.commands import parameters as p
+from clrast.commands.outputs import Outputs
+from clrast.commands.progress import progress
+from clrast.commands.request import Request, make_request
+from clrast.commands.stats import complete_stats, report_lines, summary, to_json
+from clrast.commands.viewpoint import VIEW_NAMES, View, make_view
+from clrast.errors import EXIT_OK, InputNotFoundError, OutputError, UsageError
+from clrast.options import OPTION_NAMES, make_options
+
+if TYPE_CHECKING:
+    from clrast.image.frame import Frame
+    from clrast.scene.model import Scene
+
+LIST_OPTIONS = ("aov", "effects", "oracle")
+"""Options whose repetitions add up."""
+
+
+@dataclass
+class Job:
+    """One call of `render`, checked. `given` : options of RenderOptions that were given; times in seconds."""
+
+    source: str
+    given: dict[str, Any]
+    view: View
+    outputs: Outputs
+    started: float
+    report: bool = False
+    json: bool = False
+    quiet: bool = False
+    times_ms: dict[str, float] = field(default_factory=dict)
+
+
+def render_command(
+    context: typer.Context,
+    input: p.Input,
+    output: p.Output = None,
+    size: p.Size = None,
+    eye: p.Eye = None,
+    look_at: p.LookAt = None,
+    up: p.Up = None,
+    fov: p.Fov = None,
+    camera: p.CameraName = None,
+    projection: p.ProjectionName = None,
+    height: p.Height = None,
+    precision: p.Precision = None,
+    aa: p.Antialiasing = None,
+    shading_rate: p.ShadingRate = None,
+    evaluation: p.Evaluation = None,
+    samples: p.Samples = None,
+    seed: p.Seed = None,
+    max_depth: p.MaxDepth = None,
+    quality: p.Quality = None,
+    method: p.Method = None,
+    oracle: p.Oracle = None,
+    intersection: p.Intersection = None,
+    accelerator: p.Accelerator = None,
+    grid_resolution: p.GridResolution = None,
+    mode: p.Mode = None,
+    effects: p.Effects = None,
+    aov: p.Aov = None,
+    stats: p.Stats = None,
+    counters: p.Counters = False,
+    report: p.Report = False,
+    json: p.Json = False,
+    quiet: p.Quiet = False,
+    device: p.Device = None,
+    threads: p.Threads = None,
+    memory: p.Memory = None,
+    time_budget: p.TimeBudget = None,
+    resume: p.Resume = None,
+    repeat: p.Repeat = None,
+) -> int:
+    """Render a mesh (.ply .obj .stl .off .glb .gltf) or a scene card (.toml) to an image.
+
+    The order of options never matters. Values may begin with a minus.
+    """
+    values = {name: value for name, value in locals().items() if name != "context"}
+    return run(values, context.obj["started"])
+
+
+def run(values: Mapping[str, Any], started: float) -> int:
+    """Check everything, then render and write. `values` : of `render_command`, by name."""
+    job = make_job(values, started)
+    check_input(job.source)
+    job.outputs.check_writable()
+    try:
+        stats = _render_and_write(job)
+    finally:
+        job.outputs.discard()
+    if job.json:
+        messages.result(to_json(stats))
+    elif job.report:
+        messages.result("\n".join(report_lines(stats)))
+    if not job.quiet:
+        messages.note(summary(stats))
+    return EXIT_OK
+
+
+def make_job(values: Mapping[str, Any], started: float) -> Job:
+    """Parse and check all options; raises UsageError. Reads and writes nothing."""
+    single = {name: _once(name, texts) for name, texts in values.items()}
+    given = {name: single[name] for name in OPTION_NAMES if single.get(name) not in (None, False)}
+    if make_options(given).repeat == 0 and "repeat" in given:
+        raise UsageError("--repeat 0 renders nothing: give 1 or more, or leave it out")
+    view = make_view({name: single[name] for name in VIEW_NAMES})
+    outputs = Outputs(tuple(dict.fromkeys(values["output"] or ())), single["stats"])
+    outputs.check_usage(single["input"])
+    if not outputs.images and not (single["stats"] or single["report"] or single["json"]):
+        raise UsageError("no output: name an image, such as -o image.exr")
+    shown = {name: single[name] for name in ("report", "json", "quiet")}
+    return Job(single["input"], given, view, outputs, started, **shown)
+
+
+def _once(name: str, texts: Any) -> Any:
+    """The one text of an option, or None; lists stay lists. Two different texts are a UsageError."""
+    if not isinstance(texts, (list, tuple)):
+        return texts
+    if name in LIST_OPTIONS or name == "output":
+        return list(texts) or None
+    if len(set(texts)) > 1:
+        raise UsageError(f"--{name.replace('_', '-')} is given as {' and as '.join(texts)}: give one")
+    return texts[0] if texts else None
+
+
+def check_input(path: str) -> None:
+    """Raises InputNotFoundError unless there is something of that name; the loader looks closer."""
+    if not os.path.exists(path):
+        raise InputNotFoundError(f"{path} does not exist: check the name, relative to {os.getcwd()}")
+
+
+def _render_and_write(job: Job) -> dict[str, Any]:
+    """Load, render, write; returns the complete stats."""
+    with progress(job.quiet) as show:
+        show(f"loading {job.source}")
+        scene = _load(job)
+        request = make_request(scene, job.view, job.given, job.source)
+        for line in (*scene.warnings, *request.warnings):
+            messages.warn(line)
+        if not job.quiet:
+            for line in request.notes:
+                messages.note(line)
+        show(f"rendering {scene.triangle_count} triangles")
+        frame, without_color = _render(scene, request, job)
+        show("writing")
+        return _write(frame, without_color, request, job)
+
+
+def _load(job: Job) -> Scene:
+    from clrast.scene.load import load
+
+    before = time.perf_counter()
+    scene = load(job.source)
+    job.times_ms["load"] = 1000 * (time.perf_counter() - before)
+    return scene
+
+
+def _render(scene: Scene, request: Request, job: Job) -> tuple[Frame, bool]:
+    """The frame, and whether colour is in it for a PNG alone."""
+    from clrast.renderer import render
+
+    options = request.options
+    without_color = job.outputs.has_png and "color" not in options.aov
+    if without_color:
+        options = replace(options, aov=("color", *options.aov))
+    return render(scene, request.camera, options=options), without_color
+
+
+def _write(frame: Frame, without_color: bool, request: Request, job: Job) -> dict[str, Any]:
+    """Put every file in place, or none; returns the complete stats."""
+    before = time.perf_counter()
+    if request.options.threads is not None and job.outputs.images:
+        from clrast.image.exr import limit_threads
+
+        limit_threads(request.options.threads)
+    try:
+        job.outputs.prepare_images(frame, without_color)
+    except OSError as fault:
+        reason = fault.strerror or fault
+        raise OutputError(f"cannot write the image: {reason}: free space or name another file") from None
+    now = time.perf_counter()
+    job.times_ms["write"] = 1000 * (now - before)
+    job.times_ms["total"] = 1000 * (now - job.started)
+    stats = complete_stats(frame.stats, request.options, job.times_ms)
+    job.outputs.prepare_stats(to_json(stats))
+    job.outputs.commit()
+    return stats

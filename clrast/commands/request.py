@@ -1,0 +1,76 @@
+"""What is to be rendered: options given, the scene's own ones, and the camera, put together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from clrast.commands.viewpoint import VIEW_NAMES, Choice, View, choose_camera, make_view
+from clrast.errors import SceneError, UsageError
+from clrast.options import RenderOptions, UnavailableError, make_options, parse_effects
+from clrast.scene.model import Camera, Scene
+
+if TYPE_CHECKING:
+    from clrast.image.frame import Frame
+
+
+@dataclass(frozen=True)
+class Request:
+    """A render that can start. `notes` and `warnings` are lines to say first."""
+
+    options: RenderOptions
+    camera: Camera
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def make_request(scene: Scene, view: View, given: Mapping[str, Any], source: str) -> Request:
+    """Merge the options `given` (checked before) over those of the scene's card, and choose the camera.
+
+    source : what messages call the scene.
+    """
+    options, warnings = merge_options(scene, given, source)
+    choice: Choice = choose_camera(scene, view, options.size, source)
+    return Request(options, choice.camera, choice.notes, (*warnings, *choice.warnings))
+
+
+def merge_options(scene: Scene, given: Mapping[str, Any], source: str) -> tuple[RenderOptions, tuple[str, ...]]:
+    """Options with a card's values below those given; returns them and warnings.
+
+    What a card asks for and this version lacks is a warning; a value that makes no sense is a SceneError.
+    """
+    merged: dict[str, Any] = {}
+    warnings: list[str] = []
+    if scene.image_size is not None:
+        merged["size"] = scene.image_size
+    for written, value in scene.render_options.items():
+        name = written.replace("-", "_")
+        try:
+            make_options({name: value})
+        except UnavailableError as fault:
+            warnings.append(f"{source} asks for what is ignored here: {fault}")
+        except UsageError as fault:
+            raise SceneError(f"{source}: {fault}") from None
+        else:
+            merged[name] = value
+    if "effects" in merged and "effects" in given:
+        own = parse_effects("--effects", merged["effects"])
+        merged["effects"] = {**own, **parse_effects("--effects", given["effects"])}
+        given = {name: value for name, value in given.items() if name != "effects"}
+    return make_options({**merged, **given}), tuple(warnings)
+
+
+def render_scene(scene: Scene, camera: Camera | str | int | None, values: Mapping[str, Any]) -> Frame:
+    """`clrast.render`: see there."""
+    import warnings
+
+    from clrast.renderer import render
+
+    given = {name: value for name, value in values.items() if name not in VIEW_NAMES}
+    make_options(given)
+    view = make_view({"camera": camera, **{name: values[name] for name in VIEW_NAMES if name in values}})
+    request = make_request(scene, view, given, scene.name)
+    for line in request.warnings:
+        warnings.warn(line, stacklevel=3)
+    return render(scene, request.camera, options=request.options)

@@ -1,0 +1,93 @@
+"""The stats of a render, as JSON and as a report: the schema of DESIGN section 2, keys always present."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from clrast.options import EFFECTS, RenderOptions
+
+KEYS = (
+    "camera", "image", "device", "method", "method_requested", "precision", "aa", "mode", "bytes_device",
+    "counts", "times_ms", "effects",
+)  # fmt: skip
+COUNTS = (
+    "triangles", "setups", "edge_evaluations", "samples", "hits", "rays_primary", "rays_shadow", "rays_reflection",
+    "rays_refraction", "rays_indirect", "traversal_steps", "intersection_tests", "kernel_launches", "passes",
+)  # fmt: skip
+STAGES = ("load", "build", "setup", "bin", "visibility", "shade", "resolve", "write", "plan", "total")
+
+
+def complete_stats(own: Mapping[str, Any], options: RenderOptions, times_ms: Mapping[str, float]) -> dict[str, Any]:
+    """The renderer's `own` stats in the design's order, with every key present.
+
+    times_ms : what only the command knows (load, write, total), milliseconds. What the renderer does
+    not count is null. Keys that the design does not name follow at the end.
+    """
+    width, height = options.size
+    counts = own.get("counts", {})
+    times = {**own.get("times_ms", {}), **times_ms}
+    known: dict[str, Any] = {
+        "image": {"width": width, "height": height},
+        "method_requested": options.method,
+        "precision": options.precision,
+        "aa": options.aa,
+        "mode": options.mode,
+        **own,
+        "counts": {**{name: counts.get(name) for name in COUNTS}, **counts},
+        "times_ms": {**{name: float(times.get(name, 0.0)) for name in STAGES}, **times},
+        "effects": _effects(own),
+    }
+    stats = {name: known.pop(name, None) for name in KEYS}
+    return _plain({**stats, **known})
+
+
+def to_json(stats: Mapping[str, Any]) -> str:
+    """JSON without NaN or Infinity, one key a line, ending in a line end."""
+    return json.dumps(_plain(stats), indent=2, allow_nan=False) + "\n"
+
+
+def report_lines(stats: Mapping[str, Any]) -> list[str]:
+    """The effects with their reasons and the stages with their times, as lines of a table."""
+    rows = [("effect", "on", "reason")]
+    rows += [(row["name"], "on" if row["on"] else "off", row["reason"]) for row in stats["effects"]]
+    widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
+    lines = [f"{name:<{widths[0]}}  {state:<{widths[1]}}  {reason}" for name, state, reason in rows]
+    lines += ["", f"{'stage':<10}  {'ms':>9}"]
+    lines += [f"{stage:<10}  {stats['times_ms'][stage]:9.2f}" for stage in STAGES]
+    return lines
+
+
+def summary(stats: Mapping[str, Any]) -> str:
+    """One line: size, device, method, effects that are on, seconds."""
+    device = stats["device"]
+    if isinstance(device, Mapping):
+        device = device.get("name", "unknown device")
+    on = [row["name"] for row in stats["effects"] if row["on"]]
+    image = stats["image"]
+    return (
+        f"{image['width']}x{image['height']} on {device}, method {stats['method']}, precision {stats['precision']}, "
+        f"effects: {', '.join(on) if on else 'none'}; {stats['times_ms']['total'] / 1000:.2f} s"
+    )
+
+
+def _effects(own: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """All effects of the design in its order, each with a reason."""
+    given = {row["name"]: row for row in own.get("effects", ())}
+    absent = {"on": False, "reason": "not part of this version's renderer"}
+    return [{"name": name, **{key: given.get(name, absent)[key] for key in ("on", "reason")}} for name in EFFECTS]
+
+
+def _plain(value: Any) -> Any:
+    """The value with numpy scalars and arrays as Python's own, and non-finite numbers as None."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(member) for key, member in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(member) for member in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

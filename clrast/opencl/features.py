@@ -1,0 +1,64 @@
+"""What a kernel may be specialised by: array sizes and choices that change its shape; never scene content."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from enum import IntEnum
+
+
+class Precision(IntEnum):
+    """Rungs of `--precision`, with the numbers that kernels compare against (PRECISION_* in layout.py)."""
+
+    FAST = 0
+    ORDERED = 1
+    MIDPOINT = 2
+    DOUBLE = 3
+    FIXED = 4
+    EXACT = 5
+
+
+class Projection(IntEnum):
+    """Sample generators (PROJECTION_* in layout.py)."""
+
+    PERSPECTIVE = 0
+    ORTHOGRAPHIC = 1
+    PARABOLOID = 2
+    LATLONG = 3
+
+
+@dataclass(frozen=True)
+class Features:
+    """Build options of all programs. Each field becomes the macro of its upper-case name.
+
+    A program is built for the fields whose macro its text mentions, so that a change of another field
+    rebuilds nothing. Booleans become 0 or 1, enumerations their number.
+    """
+
+    vector_width: int = 16  # samples per explicit vector: 1, 8, 16
+    tile_log2: int = 5  # tiles have 2**tile_log2 samples a side
+    precision: Precision = Precision.MIDPOINT
+    projection: Projection = Projection.PERSPECTIVE
+    keep_nearness: bool = False  # a tile's nearness goes to memory: split launches, layers behind BLEND surfaces
+    counters: bool = False
+    alpha_mask: bool = False
+    alpha_blend: bool = False
+    textures: bool = False
+    normal_interpolation: bool = False
+    emission: bool = False
+    vertex_colors: bool = False
+    lit: bool = False  # punctual lights; off: the headlight
+
+    def defines(self, source: str | None = None) -> tuple[str, ...]:
+        """`-D NAME=value` for each field, in their order; with `source` only those that it mentions."""
+        words = None if source is None else _words(source)
+        return tuple(
+            f"-D {f.name.upper()}={int(getattr(self, f.name))}"
+            for f in fields(self)
+            if words is None or f.name.upper() in words
+        )
+
+
+def _words(source: str) -> frozenset[str]:
+    import re
+
+    return frozenset(re.findall(r"[A-Za-z_]\w*", source))

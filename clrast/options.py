@@ -1,0 +1,385 @@
+"""The options of a render, checked once and shared by the command line and the Python API.
+
+`RenderOptions` takes each value as the object or as the text that the command line takes, and
+raises UsageError where it makes no sense. A name that the design has and this version has not is
+an UnavailableError: it says so, and what to use instead.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from clrast import __version__
+from clrast.errors import UsageError
+
+PRECISIONS = ("fast", "ordered", "midpoint", "double", "fixed", "exact")
+AVAILABLE_PRECISIONS = ("fast", "ordered", "midpoint")
+METHODS = (
+    "auto", "2dr-brute", "2dr-binning", "2dh-brute", "2dh-binning", "3dr-brute", "3dr-binning",
+    "3dr-frustum-cull", "3dr-frustum-split", "3dr-full", "raycast-bvh", "raycast-grid",
+    "raycast-grid-multipass", "raycast-brute",
+)  # fmt: skip
+AVAILABLE_METHODS = ("auto", "3dr-binning")
+MODES = ("cast", "shadow", "whitted", "path")
+PROJECTIONS = ("perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube")
+AVAILABLE_PROJECTIONS = ("perspective", "orthographic")
+QUALITIES = ("preview", "draft", "final")
+ORACLES = ("is_outside", "is_occluded", "split_frustum", "generate_samples", "binning")
+AOV_GROUPS = ("color", "depth", "distance", "normal", "position", "bary", "uv", "albedo", "ray", "id", "cost")
+EFFECTS = (
+    "shadow", "reflection", "refraction", "indirect light", "emission", "textures", "normal interpolation",
+    "alpha mask", "alpha blend", "environment", "secondary acceleration structure", "derivatives",
+)  # fmt: skip
+EFFECTS_OF_SECONDARY_RAYS = (
+    "shadow", "reflection", "refraction", "indirect light", "environment",
+    "secondary acceleration structure", "derivatives",
+)  # fmt: skip
+"""Effects that this version can only leave off."""
+EFFECT_STATES = ("on", "off", "auto")
+
+MAX_SIDE = 65535
+MAX_PIXELS = 1 << 28
+"""Largest image: 16384 x 16384 pixels or as many in another shape."""
+MAX_SEED = (1 << 32) - 1
+MAX_FLOAT32 = 3.4028234663852886e38
+
+Vector = tuple[float, float, float]
+
+_INTEGER = re.compile(r"[+-]?[0-9]{1,30}")
+_NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_SIZE = re.compile(r"([0-9]{1,30})[xX]([0-9]{1,30})")
+_MEMORY = re.compile(r"([0-9]{1,18}(?:\.[0-9]{0,18})?)\s*([A-Za-z]*)")
+_ANTIALIASING = re.compile(r"none|ssaa:[0-9]+|msaa:[0-9]+|csaa:[0-9]+\+[0-9]+|auto:[0-9.eE+-]+")
+_MEMORY_UNITS = {"": 1, "b": 1}
+for _power, _letter in enumerate("kmgt", start=1):
+    _MEMORY_UNITS[_letter] = _MEMORY_UNITS[_letter + "ib"] = 1024**_power
+    _MEMORY_UNITS[_letter + "b"] = 1000**_power
+
+
+class UnavailableError(UsageError):
+    """An option or a name of the design that this version does not have yet."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """` (did you mean X?)` for the nearest of the known names, or nothing."""
+    names = list(known)
+    begun = [each for each in names if len(name) > 1 and each.startswith(name.lower())]
+    near = begun or difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.6)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names as `a, b or c`."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+def check_choice(option: str, value: Any, names: Sequence[str], available: Sequence[str] | None = None) -> str:
+    """The value, if it is one of `names` and of those `available`; `option` is named in the error."""
+    can = tuple(names if available is None else available)
+    if not isinstance(value, str) or value not in names:
+        raise UsageError(f"{option} {value!r} is unknown: use {listed(can)}{did_you_mean(str(value), names)}")
+    if value not in can:
+        raise UnavailableError(f"{option} {value} is not available in this version; use {listed(can)}")
+    return value
+
+
+def _texts(option: str, value: Any) -> list[str]:
+    """The members of a comma list or of a sequence (whose members may be comma lists), trimmed."""
+    if not isinstance(value, (str, list, tuple, set, frozenset)):
+        raise UsageError(f"{option} {value!r} is no text and no list of texts")
+    members = [value] if isinstance(value, str) else list(value)
+    return [part.strip() for member in members for part in str(member).split(",")]
+
+
+def parse_count(option: str, value: Any, low: int, high: int) -> int:
+    """A whole number from `low` to `high`, from a number or its text."""
+    allowed = f"a whole number from {low} to {high}"
+    if isinstance(value, str):
+        if not _INTEGER.fullmatch(value):
+            raise UsageError(f"{option} {value!r} is not a number: give {allowed}")
+        value = int(value)
+    try:
+        number = value.__index__()
+    except (AttributeError, TypeError):
+        raise UsageError(f"{option} {value!r} is not a whole number: give {allowed}") from None
+    if not low <= number <= high:
+        raise UsageError(f"{option} {number} is out of range: give {allowed}")
+    return int(number)
+
+
+def parse_number(option: str, value: Any, allowed: str = "a finite number", *, above: float = -math.inf) -> float:
+    """A finite number that float32 can hold, larger than `above`, from a number or its text."""
+    if isinstance(value, str) and not _NUMBER.fullmatch(value):
+        raise UsageError(f"{option} {value!r} is not a number: give {allowed}")
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise UsageError(f"{option} {value!r} is not a number: give {allowed}") from None
+    if not (math.isfinite(number) and abs(number) <= MAX_FLOAT32 and number > above):
+        raise UsageError(f"{option} {value} is out of range: give {allowed}")
+    return number
+
+
+def parse_vector(option: str, value: Any) -> Vector:
+    """Three finite numbers, from `X,Y,Z` or a sequence; any may be negative."""
+    parts = value.split(",") if isinstance(value, str) else value
+    try:
+        parts = [part.strip() if isinstance(part, str) else part for part in parts]
+    except TypeError:
+        parts = []
+    if len(parts) != 3:
+        raise UsageError(f"{option} {value!r} is not a vector: give three numbers as X,Y,Z")
+    x, y, z = (parse_number(option, part, "three finite numbers as X,Y,Z") for part in parts)
+    return (x, y, z)
+
+
+def parse_fov(option: str, value: Any) -> float:
+    """A vertical angle in degrees, inside (0, 180)."""
+    allowed = "an angle between 0 and 180 degrees"
+    degrees = parse_number(option, value, allowed, above=0.0)
+    if degrees >= 180.0:
+        raise UsageError(f"{option} {value} is out of range: give {allowed}")
+    return degrees
+
+
+def parse_size(option: str, value: Any) -> tuple[int, int]:
+    """(width, height) in pixels, from `WxH` or a pair, within MAX_SIDE and MAX_PIXELS."""
+    parts = value
+    if isinstance(value, str):
+        match = _SIZE.fullmatch(value)
+        parts = match.groups() if match else ()
+    if not isinstance(parts, Sequence) or len(parts) != 2:
+        raise UsageError(f"{option} {value!r} is not a size: give WxH in pixels, such as 640x480")
+    width, height = (parse_count(option, part, 1, MAX_SIDE) for part in parts)
+    if width * height > MAX_PIXELS:
+        raise UsageError(f"{option} {width}x{height} has {width * height} pixels: at most {MAX_PIXELS} are allowed")
+    return (width, height)
+
+
+def parse_aov(option: str, value: Any) -> tuple[str, ...]:
+    """Groups of AOV_GROUPS in their order, from a comma list or a sequence; `all` is every group but cost."""
+    wanted: set[str] = set()
+    for name in _texts(option, value):
+        if name == "all":
+            wanted.update(group for group in AOV_GROUPS if group != "cost")
+        else:
+            wanted.add(check_choice(option, name, (*AOV_GROUPS, "all")))
+    if not wanted:
+        raise UsageError(f"{option} names no group: use {listed((*AOV_GROUPS, 'all'))}")
+    return tuple(group for group in AOV_GROUPS if group in wanted)
+
+
+def parse_effects(option: str, value: Any) -> dict[str, str]:
+    """Effect name with spaces -> on, off or auto, from NAME=STATE (comma lists, sequences) or a mapping."""
+    if isinstance(value, Mapping):
+        pairs = [(str(name), state) for name, state in value.items()]
+    else:
+        pairs = []
+        for text in _texts(option, value):
+            name, equals, state = text.partition("=")
+            if not equals:
+                raise UsageError(f"{option} {text!r}: give NAME=on|off|auto, such as alpha_mask=off")
+            pairs.append((name, state))
+    effects: dict[str, str] = {}
+    underscored = [name.replace(" ", "_") for name in EFFECTS]
+    for name, state in pairs:
+        key = check_choice(option, name.strip().replace(" ", "_").replace("-", "_"), underscored).replace("_", " ")
+        if isinstance(state, bool):
+            state = "on" if state else "off"
+        check_choice(f"{option} {key.replace(' ', '_')}", state, EFFECT_STATES)
+        if effects.setdefault(key, state) != state:
+            raise UsageError(f"{option} {key.replace(' ', '_')} is given as {effects[key]} and as {state}: give one")
+        if state == "on" and key in EFFECTS_OF_SECONDARY_RAYS:
+            option_text = f"{option} {key.replace(' ', '_')}"
+            raise UnavailableError(f"{option_text}=on is not available in this version; use auto or off")
+    return {name: effects[name] for name in EFFECTS if name in effects}
+
+
+def parse_memory(option: str, value: Any) -> int:
+    """Bytes, from a number or text with a suffix: K M G T and KiB.. are powers of 1024, KB.. of 1000."""
+    if isinstance(value, str):
+        match = _MEMORY.fullmatch(value.strip())
+        unit = _MEMORY_UNITS.get(match.group(2).lower()) if match else None
+        if match is None or unit is None:
+            raise UsageError(f"{option} {value!r} is not a size of memory: give bytes, or such as 512M, 2G, 1.5GiB")
+        value = int(float(match.group(1)) * unit) if "." in match.group(1) else int(match.group(1)) * unit
+    return parse_count(option, value, 1, 1 << 50)
+
+
+def _parse_antialiasing(option: str, value: Any) -> str:
+    if not isinstance(value, str) or not _ANTIALIASING.fullmatch(value):
+        raise UsageError(f"{option} {value!r} is unknown: use none")
+    return check_choice(option, value, (value,), ("none",))
+
+
+def _parse_samples(option: str, value: Any) -> int:
+    count = parse_count(option, value, 1, 1 << 24)
+    if count != 1:
+        raise UnavailableError(f"{option} {count} is not available in this version; use 1")
+    return count
+
+
+def _parse_oracle(option: str, value: Any) -> tuple[str, ...]:
+    for text in _texts(option, value):
+        name, equals, _ = text.partition("=")
+        if not equals:
+            raise UsageError(f"{option} {text!r}: give NAME=VALUE, such as split_frustum=never")
+        if name not in ORACLES:
+            raise UsageError(f"{option} {name!r} is unknown: use {listed(ORACLES)}{did_you_mean(name, ORACLES)}")
+        raise UnavailableError(f"{option} is not available in this version; use --method {listed(AVAILABLE_METHODS)}")
+    return ()
+
+
+def _choice(names: Sequence[str], available: Sequence[str] | None = None) -> Callable[[str, Any], str]:
+    return lambda option, value: check_choice(option, value, names, available)
+
+
+def _count(low: int, high: int) -> Callable[[str, Any], int]:
+    return lambda option, value: parse_count(option, value, low, high)
+
+
+def _refused(mend: str) -> Callable[[str, Any], Any]:
+    def refuse(option: str, value: Any) -> Any:
+        raise UnavailableError(f"{option} is not available in this version; {mend}")
+
+    return refuse
+
+
+def _parse_quality(option: str, value: Any) -> Any:
+    check_choice(option, value, QUALITIES)
+    raise UnavailableError(f"{option} {value} is not available in this version; use --precision")
+
+
+def _text(option: str, value: Any) -> str:
+    if not isinstance(value, str) or not value:
+        raise UsageError(f"{option} {value!r} is empty or no text: leave it out for the default")
+    return value
+
+
+def _flag(option: str, value: Any) -> bool:
+    if value not in (True, False, "true", "false", "on", "off"):
+        raise UsageError(f"{option} {value!r} is unknown: use true or false")
+    return value in (True, "true", "on")
+
+
+_PARSERS: dict[str, Callable[[str, Any], Any]] = {
+    "size": parse_size,
+    "precision": _choice(PRECISIONS, AVAILABLE_PRECISIONS),
+    "method": _choice(METHODS, AVAILABLE_METHODS),
+    "mode": _choice(MODES, ("cast",)),
+    "aov": parse_aov,
+    "effects": parse_effects,
+    "counters": _flag,
+    "device": _text,
+    "threads": _count(1, 4096),
+    "memory": parse_memory,
+    "repeat": _count(0, 1_000_000),
+    "aa": _parse_antialiasing,
+    "shading_rate": _choice(("pixel", "sample")),
+    "evaluation": _choice(("direct", "incremental"), ("direct",)),
+    "samples": _parse_samples,
+    "seed": _count(0, MAX_SEED),
+    "intersection": _choice(("edge", "barycentric"), ("edge",)),
+    "accelerator": _choice(("auto", "grid", "bvh"), ("auto",)),
+    "oracle": _parse_oracle,
+    "max_depth": _refused("leave it out, as nothing is traced beyond the first hit"),
+    "quality": _parse_quality,
+    "grid_resolution": _refused("leave it out, as no method here uses a grid"),
+    "time_budget": _refused("leave it out"),
+    "resume": _refused("leave it out"),
+}
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """What decides a render beside the scene and the camera. Names are those of the command line.
+
+    Every value may also be given as the text that the command line takes, such as size="640x480".
+
+    size : (width, height) pixels. aov : groups of AOV_GROUPS, in that order, without repeats.
+    effects : effect name (with spaces) -> "on" | "off" | "auto"; an effect that is absent is "auto".
+    device, threads, memory (bytes), repeat : of the machine; they decide no pixel.
+    """
+
+    size: tuple[int, int] = (1024, 1024)
+    precision: str = "midpoint"
+    method: str = "auto"
+    mode: str = "cast"
+    aov: tuple[str, ...] = ("color", "depth")
+    effects: dict[str, str] = field(default_factory=dict)
+    counters: bool = False
+    device: str | None = None
+    threads: int | None = None
+    memory: int | None = None
+    repeat: int = 0
+    aa: str = "none"
+    shading_rate: str = "pixel"
+    evaluation: str = "direct"
+    samples: int = 1
+    seed: int = 0
+    intersection: str = "edge"
+    accelerator: str = "auto"
+    oracle: tuple[str, ...] = ()
+    max_depth: int | None = None
+    quality: str | None = None
+    grid_resolution: int | None = None
+    time_budget: float | None = None
+    resume: str | None = None
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if value is not None:
+                parsed = _PARSERS[each.name]("--" + each.name.replace("_", "-"), value)
+                object.__setattr__(self, each.name, parsed)
+            elif each.default is not None:
+                raise UsageError(f"--{each.name.replace('_', '-')} has no value: leave it out for the default")
+
+
+OPTION_NAMES = tuple(each.name for each in fields(RenderOptions))
+
+
+def make_options(values: Mapping[str, Any]) -> RenderOptions:
+    """Options from values by name (underscores or hyphens); an unknown name is a UsageError with the nearest one."""
+    known = {name.replace("-", "_"): value for name, value in values.items()}
+    for name in known:
+        if name not in OPTION_NAMES:
+            hint = did_you_mean(name, OPTION_NAMES)
+            raise UsageError(f"there is no option {name!r}: use {listed(OPTION_NAMES)}{hint}")
+    return RenderOptions(**known)
+
+
+def resolved_header(
+    options: RenderOptions,
+    camera_vectors: Mapping[str, Sequence[float]],
+    effects_on: Iterable[str] | None = None,
+    projection: str = "perspective",
+) -> dict[str, Any]:
+    """What decides the pixels, in a fixed order, for an image's header: no device, method, threads or tile size.
+
+    Keys are bare: a file writer puts `clrast:` before them.
+
+    camera_vectors : name -> 3 float32 values, as in the stats. effects_on : the effects that the plan
+    switched on; None stands for those that the options force on.
+    """
+    if effects_on is None:
+        effects_on = [name for name, state in options.effects.items() if state == "on"]
+    switched_on = set(effects_on)
+    header: dict[str, Any] = {
+        "version": __version__,
+        "size": f"{options.size[0]}x{options.size[1]}",
+        "projection": projection,
+        "mode": options.mode,
+        "precision": options.precision,
+        "aa": options.aa,
+        "effects": ",".join(name.replace(" ", "_") for name in EFFECTS if name in switched_on),
+    }
+    for name, vector in camera_vectors.items():
+        x, y, z = (float(component) for component in vector)
+        header[f"camera.{name}"] = (x, y, z)
+    return header

@@ -1,0 +1,270 @@
+"""Scene + camera + options -> frame: one page that says what happens in which order.
+
+  plan the effects, open the device, put the scene there
+  setup once; then for each band of tile rows: bin, rasterize, shade, and read the channels back
+  behind BLEND surfaces: rasterize what lies behind the layer before, shade it, until nothing is open
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from clrast.errors import CapacityError
+from clrast.image.frame import Frame, channels_of
+from clrast.opencl import buffers
+from clrast.opencl.device import Device, open_device
+from clrast.opencl.features import Features, Precision, Projection
+from clrast.opencl.layout import NO_HIT
+from clrast.options import RenderOptions, make_options, resolved_header
+from clrast.scene.camera import CameraVectors, camera_vectors, frame_scene
+from clrast.scene.model import Camera, Scene
+from clrast.shading.effects import EffectPlan, plan_effects
+from clrast.shading.shade import Shader
+from clrast.shading.surfaces import MASK_ARGUMENTS, SurfaceBuffers
+from clrast.visibility.bands import BandPlan, plan_bands
+from clrast.visibility.loop_limits import loop_limit
+from clrast.visibility.tiles import Geometry, TileRasterizer
+from clrast.visibility.view import build_view
+
+TILE_LOG2 = 5
+METHOD = "3dr-binning"
+
+
+def render(scene: Scene, camera: Camera | None = None, *, options: RenderOptions | None = None, **named: Any) -> Frame:
+    """Render a scene; returns its channels, a header that says how it was made, and stats.
+
+    camera : None frames the scene, or takes the file's first camera. options or named : see
+    RenderOptions. Raises UsageError, DeviceError, CapacityError.
+    """
+    options = options or make_options(named)
+    started = time.perf_counter()
+    width, height = options.size
+    if camera is None:
+        camera = scene.cameras[0] if scene.cameras else frame_scene(scene, width, height)
+    vectors = camera_vectors(camera, width, height)
+    plan = plan_effects(scene, options.aov, options.effects)
+    planned = time.perf_counter()
+    device = open_device(options.device, options.threads)
+    job = RenderJob(device, scene, vectors, options, plan)
+    job.times["plan"] = 1000 * (planned - started)
+    frame_count = max(1, options.repeat + (1 if options.repeat else 0))
+    channels = job.allocate()
+    for k in range(frame_count):
+        job.render_frame(channels, first=k == 0 or (k == 1 and options.repeat > 0))
+    header = resolved_header(options, vectors.named(), [e.name for e in plan.effects if e.on], vectors.projection)
+    stats = job.stats()
+    stats["times_ms"]["total"] = 1000 * (time.perf_counter() - started)
+    return Frame(channels, header, stats)
+
+
+def make_features(device: Device, scene: Scene, vectors: CameraVectors, options: RenderOptions, plan: EffectPlan) -> Features:
+    """The build options of all kernels of one render."""
+    return Features(
+        vector_width=device.vector_width,
+        tile_log2=TILE_LOG2,
+        precision=Precision[options.precision.upper()],
+        projection=Projection[vectors.projection.upper()],
+        keep_nearness=plan["alpha blend"] or loop_limit(device) is not None,
+        alpha_mask=plan["alpha mask"],
+        alpha_blend=plan["alpha blend"],
+        textures=plan["textures"],
+        normal_interpolation=plan["normal interpolation"],
+        emission=plan["emission"],
+        vertex_colors=scene.colors is not None,
+        lit=bool(scene.lights),
+    )
+
+
+class RenderJob:
+    """One view of one scene on one device: uploads once, renders any number of equal frames."""
+
+    def __init__(
+        self, device: Device, scene: Scene, vectors: CameraVectors, options: RenderOptions, plan: EffectPlan
+    ) -> None:
+        self.device, self.scene, self.vectors, self.options, self.plan = device, scene, vectors, options, plan
+        self.times: dict[str, float] = {}
+        self.features = make_features(device, scene, vectors, options, plan)
+        low, high = scene.bounding_box()
+        self.view = build_view(vectors, low, high, TILE_LOG2)
+        self.groups = tuple(group for group in options.aov if group != "cost")
+        started = time.perf_counter()
+        self.geometry = self._upload_geometry()
+        self.surfaces = SurfaceBuffers(device, scene, plan, reads_uv="uv" in self.groups)
+        self.times["upload"] = 1000 * (time.perf_counter() - started)
+        self.scene_bytes = 16 * scene.vertex_count + 12 * scene.triangle_count + self.surfaces.nbytes
+        self.bands = self._plan_bands()
+        started = time.perf_counter()
+        self.tiles = TileRasterizer(
+            device, self.features, self.view, self.geometry, self.surfaces.named(*MASK_ARGUMENTS), self.bands.band_rows
+        )
+        self.shader = Shader(
+            device,
+            replace(self.features, vector_width=1),
+            self.geometry,
+            self.surfaces,
+            self.groups,
+            len(scene.lights),
+            self.bands.max_pixels,
+        )
+        self.times["kernels"] = 1000 * (time.perf_counter() - started)
+        self.hit_count = 0
+        self.launches = self.passes = self.reference_peak = self.band_count = 0
+
+    def _upload_geometry(self) -> Geometry:
+        scene, scale = self.scene, np.float32(self.view["world_scale"])
+        positions = np.zeros((scene.vertex_count, 4), dtype=np.float32)
+        positions[:, :3] = scene.positions
+        if scale != 1:
+            positions *= scale
+        indices = np.ascontiguousarray(scene.triangles, dtype=np.uint32)
+        return Geometry(
+            buffers.upload(self.device, positions), buffers.upload(self.device, indices), scene.triangle_count
+        )
+
+    def _plan_bands(self) -> BandPlan:
+        per_pixel = 4 + Shader.bytes_per_pixel(self.groups)
+        if self.features.keep_nearness:
+            per_pixel += 4
+        if self.plan["alpha blend"]:
+            per_pixel += 8
+        return plan_bands(
+            self.view,
+            TILE_LOG2,
+            fixed_bytes=self.scene_bytes + 8 * self.scene.triangle_count,
+            pixel_bytes=per_pixel,
+            budget=self.options.memory,
+            limited=loop_limit(self.device) is not None,
+        )
+
+    def allocate(self) -> dict[str, np.ndarray]:
+        """The channel arrays of the frame, in file order."""
+        width, height = self.options.size
+        channels = {}
+        for name in channels_of(self.options.aov):
+            channels[name] = np.zeros((height, width), dtype=np.uint32 if name.startswith("id.") else np.float32)
+        return channels
+
+    def _timed(self, stage: str, work: Callable[[], Any]) -> Any:
+        started = time.perf_counter()
+        result = work()
+        self.device.queue.finish()
+        self._frame_times[stage] = self._frame_times.get(stage, 0.0) + 1000 * (time.perf_counter() - started)
+        return result
+
+    def render_frame(self, channels: dict[str, np.ndarray], first: bool) -> None:
+        """Render all bands into `channels`; keeps the smallest time of each stage unless `first`."""
+        self._frame_times: dict[str, float] = {}
+        self.hit_count = self.passes = self.band_count = 0
+        self.launches = -self.tiles.launches - self.shader.launches
+        self._timed("setup", self.tiles.setup)
+        for row, rows in self.bands:
+            self._render_band(channels, row, rows)
+        self.launches += self.tiles.launches + self.shader.launches
+        for stage, spent in self._frame_times.items():
+            self.times[stage] = spent if first else min(spent, self.times[stage])
+
+    def _render_band(self, channels: dict[str, np.ndarray], row: int, rows: int) -> None:
+        width, height = self.options.size
+        references = self._timed("bin", lambda: self.tiles.count_references(row, rows))
+        if self.options.memory is not None and self.bytes_device() > self.options.memory:
+            self._split_band(channels, row, rows)
+            return
+        self._timed("bin", self.tiles.scatter_references)
+        self.reference_peak = max(self.reference_peak, references)
+        self.band_count += 1
+        first_row = row << TILE_LOG2
+        row_count = min(rows << TILE_LOG2, height - first_row)
+        pixel_count = row_count * width
+        self._timed("visibility", self.tiles.rasterize)
+        self.passes += 1
+        self._timed("shade", lambda: self.shader.shade(self.tiles.view, self.tiles.visible_prims, pixel_count, 0))
+        self._timed("resolve", lambda: self._read_prims(channels, first_row, row_count))
+        if self.plan["alpha blend"]:
+            self._render_layers(pixel_count)
+        self._timed("resolve", lambda: self.shader.read(channels, first_row, row_count, width))
+
+    def _split_band(self, channels: dict[str, np.ndarray], row: int, rows: int) -> None:
+        """Two bands in place of one whose lists do not fit the budget."""
+        if rows == 1:
+            raise CapacityError(
+                f"--memory {self.options.memory} is too small: one row of tiles needs {self.bytes_device()} bytes: "
+                "give at least as many"
+            )
+        self._render_band(channels, row, rows // 2)
+        self._render_band(channels, row + rows // 2, rows - rows // 2)
+
+    def _read_prims(self, channels: dict[str, np.ndarray], first_row: int, row_count: int) -> None:
+        width = self.options.size[0]
+        with buffers.mapped(self.device, self.tiles.visible_prims, np.uint32, (row_count, width)) as prims:
+            self.hit_count += int(np.count_nonzero(prims != NO_HIT))
+            if "id.prim" in channels:
+                channels["id.prim"][first_row : first_row + row_count] = prims
+
+    def _render_layers(self, pixel_count: int) -> None:
+        """Add what lies behind BLEND surfaces, layer by layer; each layer lies strictly behind the last."""
+        layer, size = 0, 4 * pixel_count
+        front_nearness, front_prims = (buffers.create(self.device, size) for _ in range(2))
+        assert self.tiles.nearness is not None
+        while self.shader.has_open_pixels(pixel_count):
+            layer += 1
+            buffers.copy(self.device, self.tiles.nearness, front_nearness, size)
+            buffers.copy(self.device, self.tiles.visible_prims, front_prims, size)
+            self.shader.close_pixels(front_nearness, pixel_count)
+            self._timed("visibility", partial(self.tiles.rasterize, layer, (front_nearness, front_prims)))
+            self.passes += 1
+            shade = partial(self.shader.shade, self.tiles.view, self.tiles.visible_prims, pixel_count, layer)
+            self._timed("shade", shade)
+
+    def bytes_device(self) -> int:
+        """Bytes of all device buffers of this job."""
+        return (
+            self.scene_bytes
+            + 8 * self.scene.triangle_count
+            + self.bands.pixel_bytes * self.bands.max_pixels
+            + self.tiles.list_bytes()
+        )
+
+    def stats(self) -> dict[str, Any]:
+        """The stats of DESIGN section 2; what is not counted is None."""
+        width, height = self.options.size
+        triangles = self.scene.triangle_count
+        return {
+            "camera": self.vectors.named(),
+            "image": {"width": width, "height": height},
+            "device": {"name": self.device.name, "platform": self.device.platform, "version": self.device.version},
+            "method": METHOD,
+            "method_requested": self.options.method,
+            "precision": self.options.precision,
+            "aa": self.options.aa,
+            "mode": self.options.mode,
+            "bytes_device": self.bytes_device(),
+            "bytes_per_triangle": self.bytes_device() / triangles,
+            "counts": {
+                "triangles": triangles,
+                "samples": width * height,
+                "hits": self.hit_count,
+                "rays_primary": width * height,
+                "rays_shadow": 0,
+                "rays_reflection": 0,
+                "rays_refraction": 0,
+                "rays_indirect": 0,
+                "traversal_steps": 0,
+                "kernel_launches": self.launches,
+                "passes": self.passes,
+                "bands": self.band_count,
+                "tile_references": self.reference_peak,
+            },
+            "times_ms": {
+                "build": 0.0,
+                **{stage: 0.0 for stage in ("setup", "bin", "visibility", "shade", "resolve", "plan")},
+                **self.times,
+            },
+            "effects": self.plan.as_stats(),
+        }

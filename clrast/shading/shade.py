@@ -1,0 +1,124 @@
+"""Deferred shading of a band's visible triangles into planes of channels (cl/shade_hits.cl)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from clrast.opencl import buffers, kernels
+from clrast.opencl.device import Device
+from clrast.opencl.features import Features
+from clrast.opencl.layout import PLANE_NONE, PLANES
+from clrast.shading.surfaces import SurfaceBuffers
+from clrast.visibility.tiles import Geometry
+
+GROUP_CHANNELS: dict[str, tuple[str, ...]] = {
+    "color": ("R", "G", "B", "A"),
+    "depth": ("Z",),
+    "distance": ("distance.Y",),
+    "normal": ("N.X", "N.Y", "N.Z", "Ng.X", "Ng.Y", "Ng.Z"),
+    "position": ("P.X", "P.Y", "P.Z"),
+    "bary": ("bary.U", "bary.V"),
+    "uv": ("uv.U", "uv.V"),
+    "albedo": ("albedo.R", "albedo.G", "albedo.B"),
+    "ray": (
+        *("ray.X", "ray.Y", "ray.Z"),
+        *("raydx.X", "raydx.Y", "raydx.Z"),
+        *("raydy.X", "raydy.Y", "raydy.Z"),
+    ),
+}
+"""Float planes that shade_hits writes for each group, in their order."""
+
+WORK_GROUP = 64
+
+
+def channel_names(groups: tuple[str, ...]) -> list[str]:
+    """Names of the float planes of these groups, in plane order."""
+    return [name for group, names in GROUP_CHANNELS.items() if group in groups for name in names]
+
+
+class Shader:
+    """Shades bands. groups : output groups asked for; max_pixels : pixels of the largest band."""
+
+    def __init__(
+        self,
+        device: Device,
+        features: Features,
+        geometry: Geometry,
+        surfaces: SurfaceBuffers,
+        groups: tuple[str, ...],
+        light_count: int,
+        max_pixels: int,
+    ) -> None:
+        self.device = device
+        self.geometry = geometry
+        self.surfaces = surfaces
+        self.light_count = light_count
+        self.launches = 0
+        self.names = channel_names(groups)
+        self.has_ids = "id" in groups
+        self._program = kernels.build(device, "shade_hits.cl", features)
+        self._planes = np.zeros((), dtype=PLANES)
+        for group in PLANES.names or ():
+            first = channel_names(groups).index(GROUP_CHANNELS[group][0]) if group in groups and group != "id" else -1
+            self._planes[group] = PLANE_NONE if first < 0 else first
+        self._planes["id"] = 0 if self.has_ids else PLANE_NONE
+        self.values = buffers.create(device, 4 * len(self.names) * max_pixels)
+        self.ids = buffers.create(device, 4 * (2 * max_pixels if self.has_ids else 1))
+        self.open_pixels = buffers.create(device, max_pixels)
+
+    @staticmethod
+    def bytes_per_pixel(groups: tuple[str, ...]) -> int:
+        """Device bytes that a pixel of a band takes here."""
+        return 4 * len(channel_names(groups)) + (8 if "id" in groups else 0) + 1
+
+    def shade(self, view: np.ndarray, visible_prims: Any, pixel_count: int, layer: int) -> None:
+        """Enqueue the shading of one layer of a band; layers after the first only add colour behind it."""
+        self._program.launch(
+            "shade_hits",
+            -(-pixel_count // WORK_GROUP) * WORK_GROUP,
+            WORK_GROUP,
+            view=view,
+            planes=self._planes,
+            pixel_count=pixel_count,
+            light_count=self.light_count,
+            layer=layer,
+            positions=self.geometry.positions,
+            indices=self.geometry.indices,
+            **self.surfaces.buffers,
+            visible_prims=visible_prims,
+            values=self.values,
+            ids=self.ids,
+            open_pixels=self.open_pixels,
+        )
+        self.launches += 1
+
+    def close_pixels(self, front_nearness: Any, pixel_count: int) -> None:
+        """Enqueue: where the last layer is opaque or empty, nothing behind it will be found."""
+        self._program.launch(
+            "close_pixels",
+            -(-pixel_count // WORK_GROUP) * WORK_GROUP,
+            WORK_GROUP,
+            pixel_count=pixel_count,
+            open_pixels=self.open_pixels,
+            front_nearness=front_nearness,
+        )
+        self.launches += 1
+
+    def has_open_pixels(self, pixel_count: int) -> bool:
+        """Whether a pixel shows a BLEND surface, so that what is behind it counts. Waits."""
+        with buffers.mapped(self.device, self.open_pixels, np.uint8, pixel_count) as flags:
+            return bool(flags.any())
+
+    def read(self, channels: dict[str, np.ndarray], first_row: int, row_count: int, width: int) -> None:
+        """Copy a band into rows first_row.. of the (H, W) channel arrays. Waits."""
+        pixel_count = row_count * width
+        rows = slice(first_row, first_row + row_count)
+        for k, name in enumerate(self.names):
+            out = channels[name][rows]
+            buffers.download(self.device, self.values, np.float32, out.shape, 4 * k * pixel_count, out)
+        if self.has_ids:
+            for k, name in enumerate(("id.object", "id.material")):
+                out = channels[name][rows]
+                buffers.download(self.device, self.ids, np.uint32, out.shape, 4 * k * pixel_count, out)

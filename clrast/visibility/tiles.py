@@ -1,0 +1,247 @@
+"""Tile-binned 3D rasterization: setup, binning and rasterization of primary samples on a device.
+
+Davidovic et al., '3D Rasterization', sections 3 and 4; the kernels are cl/setup_triangles.cl,
+cl/bin_triangles.cl and cl/rasterize_tiles.cl. An image is rendered in one or more bands of tile rows; the
+bits do not depend on the bands, on the chunks of triangles or on the tile size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clrast.opencl import buffers, kernels
+from clrast.opencl.device import Device
+from clrast.opencl.features import Features
+from clrast.opencl.layout import CHUNK_COUNT
+from clrast.visibility.loop_limits import chunk_size_within, loop_limit, reference_span_within
+
+if TYPE_CHECKING:
+    import pyopencl as cl
+
+REFERENCE_BYTES = 8
+TILE_PAD = 16
+"""sum_tile_counts takes 16 tiles at a time."""
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Triangles on the device. positions : (vertex_count,) float4 at the view's world_scale; indices : 3 uint each."""
+
+    positions: cl.Buffer
+    indices: cl.Buffer
+    triangle_count: int
+
+
+def _round_up(value: int, step: int) -> int:
+    return -(-value // step) * step
+
+
+class TileRasterizer:
+    """Buffers and launches of one view of one scene; stages in order: setup, then bin and rasterize per band.
+
+    surfaces : buffers by the argument names of rasterize_tiles, read where features.alpha_mask is on.
+    band_rows : most tile rows that a band will have. Every method only enqueues, except where it says so.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        features: Features,
+        view: np.ndarray,
+        geometry: Geometry,
+        surfaces: Mapping[str, Any],
+        band_rows: int,
+    ) -> None:
+        self.device = device
+        self.features = features
+        self.view = view.copy()
+        self.geometry = geometry
+        self.surfaces = dict(surfaces) if features.alpha_mask else {}
+        self.launches = 0
+        self.reference_count = 0
+        self.reference_capacity = 0
+        self._programs = {
+            name: kernels.build(device, name, features)
+            for name in ("setup_triangles.cl", "bin_triangles.cl", "rasterize_tiles.cl")
+        }
+        self._limit = loop_limit(device)
+        self._reference_span = 0
+        width = features.vector_width
+        self._padded_count = _round_up(geometry.triangle_count, width)
+        chunk_count = CHUNK_COUNT if self._limit is None else -(-self._padded_count // max(1, self._limit // 80))
+        self._set_chunks(_round_up(-(-self._padded_count // chunk_count), width))
+        self._band_stride = _round_up(band_rows * int(view["tile_columns"]), TILE_PAD)
+        pixel_count = min(band_rows << features.tile_log2, int(view["height"])) * int(view["width"])
+        self._bounds_low = buffers.create(device, 4 * self._padded_count)
+        self._bounds_high = buffers.create(device, 4 * self._padded_count)
+        self._tile_counts = buffers.create(device, 4 * self._band_stride)
+        self._tile_begin = buffers.create(device, 4 * (self._band_stride + 1))
+        self._cursors = buffers.create(device, 4 * self._band_stride * self._chunk_count)
+        self._references: cl.Buffer | None = None
+        self.visible_prims = buffers.create(device, 4 * pixel_count)
+        self.nearness = buffers.create(device, 4 * pixel_count) if features.keep_nearness else None
+
+    def _set_chunks(self, chunk_size: int) -> None:
+        self._chunk_size = chunk_size
+        self._chunk_count = max(1, -(-self._padded_count // chunk_size))
+
+    def _launch(self, program: str, kernel: str, items: int, **arguments: Any) -> None:
+        self._programs[program].launch(kernel, items, 1, **arguments)
+        self.launches += 1
+
+    def setup(self) -> None:
+        """Find every triangle's canonical conservative screen bound."""
+        self._launch(
+            "setup_triangles.cl",
+            "setup_triangles",
+            self._chunk_count,
+            view=self.view,
+            triangle_count=self.geometry.triangle_count,
+            chunk_size=self._chunk_size,
+            positions=self.geometry.positions,
+            indices=self.geometry.indices,
+            bounds_low=self._bounds_low,
+            bounds_high=self._bounds_high,
+        )
+        if self._limit is not None:
+            self._fit_chunks()
+
+    def _fit_chunks(self) -> None:
+        """Cut chunks to what the driver's loops allow; reads the bounds back."""
+        low = buffers.download(self.device, self._bounds_low, np.uint32, self._padded_count)
+        high = buffers.download(self.device, self._bounds_high, np.uint32, self._padded_count)
+        shift = self.features.tile_log2
+        last = high - np.uint32(0x00010001)
+        columns = (last >> shift & 0xFFFF >> shift).astype(np.int64) - (low >> shift & 0xFFFF >> shift) + 1
+        rows = (last >> 16 >> shift).astype(np.int64) - (low >> 16 >> shift) + 1
+        spans = np.where(high == 0, 0, columns * rows)
+        assert self._limit is not None
+        self._set_chunks(chunk_size_within(self._limit, spans, self.features.vector_width))
+        self._cursors = buffers.create(self.device, 4 * self._band_stride * self._chunk_count)
+
+    def count_references(self, band_row: int, band_rows: int) -> int:
+        """Count the (tile, triangle) pairs of a band, which decide how much memory its lists take. Waits."""
+        self.view["band_row"], self.view["band_rows"] = band_row, band_rows
+        self._stride = _round_up(band_rows * int(self.view["tile_columns"]), TILE_PAD)
+        program = "bin_triangles.cl"
+        self._launch(program, "count_tile_triangles", self._chunk_count, **self._bin_arguments())
+        self._launch(
+            program,
+            "sum_tile_counts",
+            self._stride // TILE_PAD,
+            chunk_count=self._chunk_count,
+            tile_stride=self._stride,
+            cursors=self._cursors,
+            tile_counts=self._tile_counts,
+        )
+        begin = self._tile_begin
+        self._launch(
+            program, "scan_tiles", 1, tile_stride=self._stride, tile_counts=self._tile_counts, tile_begin=begin
+        )
+        last = buffers.download(self.device, begin, np.uint32, 1, offset=4 * self._stride)
+        self.reference_count = int(last[0])
+        return self.reference_count
+
+    def _bin_arguments(self) -> dict[str, Any]:
+        return {
+            "view": self.view,
+            "triangle_count": self.geometry.triangle_count,
+            "chunk_size": self._chunk_size,
+            "tile_stride": self._stride,
+            "positions": self.geometry.positions,
+            "indices": self.geometry.indices,
+            "bounds_low": self._bounds_low,
+            "bounds_high": self._bounds_high,
+            "cursors": self._cursors,
+        }
+
+    def scatter_references(self) -> None:
+        """Write the lists that `count_references` counted, into a buffer that grows where it must."""
+        if self.reference_count > self.reference_capacity or self._references is None:
+            self._references = None
+            self.reference_capacity = max(self.reference_count, 1024)
+            self._references = buffers.create(self.device, REFERENCE_BYTES * self.reference_capacity)
+        self._launch(
+            "bin_triangles.cl",
+            "scatter_tile_triangles",
+            self._chunk_count,
+            **self._bin_arguments(),
+            reference_capacity=self.reference_capacity,
+            tile_begin=self._tile_begin,
+            references=self._references,
+        )
+        if self._limit is not None:
+            self._fit_references(int(self.view["band_rows"]) * int(self.view["tile_columns"]))
+
+    def _fit_references(self, tile_count: int) -> None:
+        """Cut the tiles' lists to what the driver's loops allow; reads the references back."""
+        begin = buffers.download(self.device, self._tile_begin, np.uint32, tile_count + 1)
+        references = buffers.download(self.device, self._references, np.uint32, (self.reference_count, 2))
+        assert self._limit is not None
+        self._longest_list = int(np.diff(begin.astype(np.int64)).max(initial=0))
+        self._reference_span = reference_span_within(
+            self._limit, begin, references[:, 1], 1 << self.features.tile_log2, self.features.vector_width
+        )
+
+    def rasterize(self, layer: int = 0, front: tuple[cl.Buffer, cl.Buffer] | None = None) -> None:
+        """Decide every sample of the band: `visible_prims` (and `nearness`, where kept).
+
+        front : nearness and prim_ids of the layer in front, where `layer` > 0: only what lies behind
+        it is found. Needs features.keep_nearness.
+        """
+        tile_count = int(self.view["band_rows"]) * int(self.view["tile_columns"])
+        common = {
+            "view": self.view,
+            "tile_count": tile_count,
+            "reference_capacity": self.reference_capacity,
+            "positions": self.geometry.positions,
+            "indices": self.geometry.indices,
+            "tile_begin": self._tile_begin,
+            "references": self._references,
+            "visible_prims": self.visible_prims,
+            **self.surfaces,
+        }
+        if not self.features.keep_nearness:
+            self._launch("rasterize_tiles.cl", "rasterize_tiles", tile_count, **common)
+            return
+        front_nearness, front_prims = front or (self.nearness, self.visible_prims)
+        span = self._reference_span or 0xFFFFFFFF
+        total = self._longest_list if self._reference_span else 1
+        for k, first in enumerate(range(0, max(total, 1), span)):
+            self._launch(
+                "rasterize_tiles.cl",
+                "rasterize_tiles",
+                tile_count,
+                **common,
+                first_reference=first,
+                reference_span=span,
+                resume=int(k > 0),
+                layer=layer,
+                front_nearness=front_nearness,
+                front_prims=front_prims,
+                nearness=self.nearness,
+            )
+
+    def list_bytes(self) -> int:
+        """Bytes of the tiles' lists: counters, starts and references, those counted last included."""
+        stride = self._band_stride
+        references = max(self.reference_capacity, self.reference_count)
+        return 4 * (stride * self._chunk_count + 2 * stride + 1) + REFERENCE_BYTES * references
+
+    def bounds(self) -> np.ndarray:
+        """The canonical bounds: (triangle_count, 4) int64, x0 y0 x1 y1 in pixels, empty ones 0. Waits."""
+        count = self.geometry.triangle_count
+        low = buffers.download(self.device, self._bounds_low, np.uint32, count).astype(np.int64)
+        high = buffers.download(self.device, self._bounds_high, np.uint32, count).astype(np.int64)
+        return np.stack([low & 0xFFFF, low >> 16, high & 0xFFFF, high >> 16], axis=1)
+
+    def tile_lists(self) -> list[np.ndarray]:
+        """prim_ids of each tile of the band, in their order. Waits."""
+        tile_count = int(self.view["band_rows"]) * int(self.view["tile_columns"])
+        begin = buffers.download(self.device, self._tile_begin, np.uint32, tile_count + 1)
+        references = buffers.download(self.device, self._references, np.uint32, (self.reference_count, 2))
+        return [references[a:b, 0] for a, b in zip(begin[:-1], begin[1:], strict=True)]

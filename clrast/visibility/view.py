@@ -1,0 +1,92 @@
+"""The camera as kernels see it: centre-relative, with inverse axes for bounds, at a safe scale."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from clrast.opencl.layout import VIEW
+from clrast.scene.camera import CameraVectors
+
+Vector = tuple[float, float, float]
+
+SCALE_FREE_EXPONENT = 30
+"""World sizes within 2^-30 .. 2^30 are rendered as they are: products of four stay in float32's range."""
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _times(a: Vector, s: float) -> Vector:
+    return (a[0] * s, a[1] * s, a[2] * s)
+
+
+def _split(a: Vector) -> tuple[np.ndarray, np.ndarray]:
+    """A float64 vector as the sum of two float32 ones, each (4,) float32 with w = 0."""
+    exact = np.array([*a, 0.0], dtype=np.float64)
+    high = exact.astype(np.float32)
+    return high, (exact - high.astype(np.float64)).astype(np.float32)
+
+
+def world_scale(camera: CameraVectors, low: np.ndarray, high: np.ndarray) -> float:
+    """The power of two that positions are multiplied by on the device, 1 for ordinary sizes.
+
+    low, high : (3,) float64, the scene's bounding box, world space. The scale is exact (powers of two
+    round nothing), so the answer is the same; it keeps products of coordinates in float32's range.
+    """
+    center = camera.center() if camera.projection == "orthographic" else camera.origin
+    reach = max(max(abs(float(b) - c), abs(float(a) - c)) for a, b, c in zip(low, high, center, strict=True))
+    exponent = math.frexp(reach)[1]
+    if reach == 0.0 or -SCALE_FREE_EXPONENT <= exponent <= SCALE_FREE_EXPONENT:
+        return 1.0
+    return 2.0 ** max(-126, min(126, -exponent))
+
+
+def build_view(camera: CameraVectors, low: np.ndarray, high: np.ndarray, tile_log2: int) -> np.ndarray:
+    """The `View` struct (one element) for a camera and a scene whose bounding box is low .. high.
+
+    Orthographic cameras take the ray origin of the image's centre as origin. The inverse axes solve
+    p - origin = t * (d + X dx + Y dy), or = X ex + Y ey + t d, for X, Y and t.
+    """
+    scale = world_scale(camera, low, high)
+    view = np.zeros((), dtype=VIEW)
+    center = camera.center()
+    tangent_x, tangent_y = camera.tangent_x, camera.tangent_y
+    if camera.projection == "orthographic":
+        tangent_x, tangent_y = _times(tangent_x, scale), _times(tangent_y, scale)
+        view["origin"], view["origin_low"] = _split(_times(center, scale))
+        axis = camera.direction
+        view["axis"], view["axis_low"] = _split(axis)
+        view["first"] = _split(_times(camera.first, scale))[0]
+        corners = [(low, high)[k] for k in (0, 1)]
+        distance = math.sqrt(
+            sum(max(abs(float(c[k]) - center[k]) for c in corners) * scale * max(abs(float(c[k]) - center[k]) for c in corners) * scale for k in range(3))
+        )
+        pixel = math.sqrt(min(_dot(tangent_x, tangent_x), _dot(tangent_y, tangent_y)))
+        view["focal"] = max(distance / pixel, float(camera.width + camera.height))
+    else:
+        view["origin"] = _split(_times(camera.origin, scale))[0]
+        axis = center
+        view["axis"], view["axis_low"] = _split(axis)
+        view["first"] = _split(camera.first)[0]
+        view["focal"] = 1.0 / math.sqrt(min(_dot(tangent_x, tangent_x), _dot(tangent_y, tangent_y)))
+    determinant = _dot(tangent_x, _cross(tangent_y, axis))
+    view["inverse_x"] = _split(_times(_cross(tangent_y, axis), 1.0 / determinant))[0]
+    view["inverse_y"] = _split(_times(_cross(axis, tangent_x), 1.0 / determinant))[0]
+    view["inverse_w"] = _split(_times(_cross(tangent_x, tangent_y), 1.0 / determinant))[0]
+    view["tangent_x"] = _split(tangent_x)[0]
+    view["tangent_y"] = _split(tangent_y)[0]
+    view["center_x"], view["center_y"] = camera.width / 2, camera.height / 2
+    view["world_scale"] = scale
+    view["width"], view["height"] = camera.width, camera.height
+    tile = 1 << tile_log2
+    view["tile_columns"] = (camera.width + tile - 1) // tile
+    view["tile_rows"] = (camera.height + tile - 1) // tile
+    view["band_rows"] = view["tile_rows"]
+    return view

@@ -1,0 +1,217 @@
+"""Options: parsing from text, what is refused and how, and the header's fixed order."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from clrast import options as o
+from clrast.errors import UsageError
+from clrast.options import AOV_GROUPS, EFFECTS, RenderOptions, UnavailableError, make_options, resolved_header
+
+FLOAT32_RANGE = st.floats(min_value=-o.MAX_FLOAT32, max_value=o.MAX_FLOAT32, allow_nan=False, allow_infinity=False)
+
+
+@given(st.integers(1, 65535), st.integers(1, 65535))
+def test_size_round_trip_or_too_many_pixels(width: int, height: int) -> None:
+    text = f"{width}x{height}"
+    if width * height <= 16384 * 16384:
+        assert o.parse_size("--size", text) == (width, height)
+    else:
+        with pytest.raises(UsageError, match=f"{width * height} pixels: at most 268435456"):
+            o.parse_size("--size", text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "64", "64x", "x64", "64x64x64", "64 x 64", "-64x64", "0x64", "64x0", "65536x1", "1x65536", "6_4x64", "1e2x64",
+     "64.0x64", "nanx1", "٦٤x٦٤", "9" * 40 + "x1"],
+)  # fmt: skip
+def test_size_refuses(text: str) -> None:
+    with pytest.raises(UsageError, match="--size"):
+        o.parse_size("--size", text)
+
+
+@given(st.tuples(FLOAT32_RANGE, FLOAT32_RANGE, FLOAT32_RANGE))
+def test_vector_round_trip(vector: tuple[float, float, float]) -> None:
+    text = ",".join(repr(component) for component in vector)
+    assert o.parse_vector("--eye", text) == vector
+    assert o.parse_vector("--eye", list(vector)) == vector
+    assert o.parse_vector("--eye", np.array(vector)) == vector
+
+
+@pytest.mark.parametrize(
+    "text", ["", "1,2", "1,2,3,4", "a,b,c", "1,,3", "nan,0,0", "inf,0,0", "0,0,-inf", "1e39,0,0", "1e999,0,0", "1;2;3"]
+)
+def test_vector_refuses(text: str) -> None:
+    with pytest.raises(UsageError, match="--eye.*three"):
+        o.parse_vector("--eye", text)
+
+
+@given(st.lists(st.sampled_from([*AOV_GROUPS, "all"]), min_size=1, max_size=12))
+def test_aov_is_a_set_in_the_fixed_order(names: list[str]) -> None:
+    parsed = o.parse_aov("--aov", ",".join(names))
+    wanted = set(names) - {"all"} | (set(AOV_GROUPS) - {"cost"} if "all" in names else set())
+    assert set(parsed) == wanted
+    assert [AOV_GROUPS.index(name) for name in parsed] == sorted(AOV_GROUPS.index(name) for name in parsed)
+    assert o.parse_aov("--aov", names) == parsed
+
+
+def test_aov_all_has_every_group_but_cost() -> None:
+    assert o.parse_aov("--aov", "all") == (
+        "color", "depth", "distance", "normal", "position", "bary", "uv", "albedo", "ray", "id",
+    )  # fmt: skip
+    assert o.parse_aov("--aov", "all,cost")[-1] == "cost"
+
+
+@pytest.mark.parametrize(("text", "hint"), [("depht", "did you mean depth"), ("colour", "did you mean color")])
+def test_aov_names_the_nearest(text: str, hint: str) -> None:
+    with pytest.raises(UsageError, match=hint):
+        o.parse_aov("--aov", text)
+
+
+@pytest.mark.parametrize("text", ["", ",", "color,,depth"])
+def test_aov_refuses_empty_names(text: str) -> None:
+    with pytest.raises(UsageError, match="--aov"):
+        o.parse_aov("--aov", text)
+
+
+@given(st.dictionaries(st.sampled_from(EFFECTS), st.sampled_from(["off", "auto"])))
+def test_effects_with_underscores(effects: dict[str, str]) -> None:
+    texts = [f"{name.replace(' ', '_')}={state}" for name, state in effects.items()]
+    assert o.parse_effects("--effects", texts) == effects
+    assert o.parse_effects("--effects", effects) == effects
+    assert list(o.parse_effects("--effects", texts)) == [name for name in EFFECTS if name in effects]
+
+
+def test_there_are_twelve_effects() -> None:
+    assert set(EFFECTS) == {
+        "shadow", "reflection", "refraction", "indirect light", "emission", "textures", "normal interpolation",
+        "alpha mask", "alpha blend", "environment", "secondary acceleration structure", "derivatives",
+    }  # fmt: skip
+    assert len(EFFECTS) == 12
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("alpha_mask", "NAME=on"),
+        ("alpha_mask=yes", "use on, off or auto"),
+        ("alphamask=on", "did you mean alpha_mask"),
+        ("alpha_mask=on,alpha_mask=off", "given as on and as off"),
+    ],
+)
+def test_effects_refuses(text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        o.parse_effects("--effects", text)
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [("1", 1), ("4096", 4096), ("1K", 1024), ("1k", 1024), ("512M", 512 * 2**20), ("2G", 2**31), ("1.5G", 3 * 2**29),
+     ("1KiB", 1024), ("3MiB", 3 * 2**20), ("1GiB", 2**30), ("1KB", 1000), ("2MB", 2_000_000), ("1T", 2**40),
+     ("7 MiB", 7 * 2**20), ("12B", 12)],
+)  # fmt: skip
+def test_memory(text: str, size: int) -> None:
+    assert o.parse_memory("--memory", text) == size
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1", "G", "1X", "1e9", "nan", "0.1", "1GG", "9999999T", "9" * 30])
+def test_memory_refuses(text: str) -> None:
+    with pytest.raises(UsageError, match="--memory"):
+        o.parse_memory("--memory", text)
+
+
+@given(st.floats())
+def test_fov_is_inside_0_and_180(degrees: float) -> None:
+    if math.isfinite(degrees) and 0 < degrees < 180:
+        assert o.parse_fov("--fov", repr(degrees)) == degrees
+    else:
+        with pytest.raises(UsageError, match="between 0 and 180"):
+            o.parse_fov("--fov", repr(degrees))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("precision", "exact", "--precision exact is not available in this version; use fast, ordered or midpoint"),
+        ("precision", "double", "--precision double is not available"),
+        ("precision", "fixed", "--precision fixed is not available"),
+        ("method", "raycast-bvh", "--method raycast-bvh is not available in this version; use auto or 3dr-binning"),
+        ("mode", "path", "--mode path is not available in this version; use cast"),
+        ("aa", "msaa:4", "--aa msaa:4 is not available in this version; use none"),
+        ("aa", "csaa:4+12", "--aa csaa:4.12 is not available"),
+        ("aa", "auto:0.01", "--aa auto:0.01 is not available"),
+        ("samples", "16", "--samples 16 is not available in this version; use 1"),
+        ("evaluation", "incremental", "--evaluation incremental is not available"),
+        ("intersection", "barycentric", "--intersection barycentric is not available"),
+        ("accelerator", "bvh", "--accelerator bvh is not available"),
+        ("oracle", "split_frustum=never", "--oracle is not available"),
+        ("max_depth", "3", "--max-depth is not available"),
+        ("quality", "draft", "--quality draft is not available"),
+        ("grid_resolution", "64", "--grid-resolution is not available"),
+        ("time_budget", "1.5", "--time-budget is not available"),
+        ("resume", "x.exr", "--resume is not available"),
+        ("effects", "shadow=on", "--effects shadow=on is not available in this version; use auto or off"),
+    ],
+)
+def test_what_is_not_there_yet_says_so(name: str, value: str, message: str) -> None:
+    with pytest.raises(UnavailableError, match=message):
+        RenderOptions(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("precision", "midpiont", "use fast, ordered or midpoint .did you mean midpoint"),
+        ("method", "3dr-bining", "did you mean 3dr-binning"),
+        ("mode", "trace", "use cast"),
+        ("aa", "msaa", "use none"),
+        ("threads", "0", "from 1 to"),
+        ("threads", "two", "not a number"),
+        ("threads", "1.5", "not a number"),
+        ("seed", "-1", "from 0 to 4294967295"),
+        ("seed", "4294967296", "from 0 to 4294967295"),
+        ("repeat", "-1", "from 0"),
+        ("device", "", "empty"),
+        ("oracle", "nope=1", "use is_outside"),
+        ("quality", "best", "use preview, draft or final"),
+    ],
+)
+def test_nonsense_is_refused_with_what_is_allowed(name: str, value: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message) as caught:
+        RenderOptions(**{name: value})
+    assert not isinstance(caught.value, UnavailableError)
+    assert "\n" not in str(caught.value)
+
+
+def test_text_and_values_give_equal_options() -> None:
+    text = RenderOptions(size="640x480", aov="id,color", effects="alpha_mask=off", memory="1M", threads="2", seed="7")
+    values = RenderOptions(
+        size=(640, 480), aov=("color", "id"), effects={"alpha mask": "off"}, memory=1 << 20, threads=2, seed=7
+    )
+    assert text == values
+    assert RenderOptions() == RenderOptions(size="1024x1024", aov="color,depth", precision="midpoint", aa="none")
+
+
+def test_unknown_name_is_named_with_the_nearest() -> None:
+    with pytest.raises(UsageError, match="did you mean precision"):
+        make_options({"precison": "fast"})
+    assert make_options({"shading-rate": "sample"}).shading_rate == "sample"
+
+
+def test_header_has_a_fixed_order_and_nothing_of_the_machine() -> None:
+    vectors = {"e": (0.0, 0.0, 1.0), "d0": (1.0, 2.0, 3.0)}
+    here = RenderOptions(size="64x32", device="x", threads=2, memory="1G", repeat=3, method="auto", seed=5)
+    there = RenderOptions(size="64x32", device="y", threads=1, method="3dr-binning", counters=True)
+    header = resolved_header(here, vectors, ["textures", "alpha mask"])
+    assert list(header.items()) == list(resolved_header(there, vectors, ["alpha mask", "textures"]).items())
+    assert list(header) == [
+        "version", "size", "projection", "mode", "precision", "aa", "effects", "camera.e", "camera.d0",
+    ]  # fmt: skip
+    assert header["effects"] == "textures,alpha_mask"
+    assert header["camera.d0"] == (1.0, 2.0, 3.0)
