@@ -264,7 +264,7 @@ kernel void rasterize_tiles(
   uint begin = tile_begin[tile], end = min(tile_begin[tile + 1], reference_capacity);
 #if KEEP_NEARNESS
   begin = min(begin + first_reference, end);
-  end = min(begin + reference_span, end);
+  end = begin + min(reference_span, end - begin);
 #endif
   float tile_lowest = NEARNESS_OF_NOTHING;
   for (uint k = begin; k < end; k += VECTOR_WIDTH) {

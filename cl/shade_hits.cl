@@ -12,6 +12,7 @@
 #include "vector.clh"
 #include "edge_function.clh"
 #include "surface.clh"
+#include "pair.clh"
 
 #define PI 3.14159265358979323846f
 
@@ -88,9 +89,26 @@ static inline float4 interpolate_normal(global const float4 *normals, SurfacePoi
 #endif
 }
 
-// Evaluates the visible triangle at the sample (x, y), counted from the image's centre.
+// t = N . (p_0 - e) / (N . d) of the ray through the sample (x, y) of the viewport, as defined in DESIGN
+// from e, d0, dx, dy: in pairs of floats, since N . d cancels where a triangle is seen at a grazing angle.
+static inline float ray_parameter(View view, float4 p0, float4 p1, float4 p2, float x, float y) {
+  const Pair3 normal = pair_cross(pair_difference(p1, p0), pair_difference(p2, p0));
+#if PROJECTION == PROJECTION_ORTHOGRAPHIC
+  const float4 nothing = (float4)(0.0f);
+  const Pair3 e = pair_affine3(view.first, view.tangent_x, x, view.tangent_y, y);
+  const Pair3 d = pair_difference(view.axis, nothing), p = pair_difference(p0, nothing);
+  const Pair3 way = {
+      pair_add(p.x, pair_negate(e.x)), pair_add(p.y, pair_negate(e.y)), pair_add(p.z, pair_negate(e.z))};
+#else
+  const Pair3 d = pair_affine3(view.first, view.tangent_x, x, view.tangent_y, y);
+  const Pair3 way = pair_difference(p0, view.origin);
+#endif
+  return pair_divide(pair_dot(normal, way), pair_dot(normal, d)) / view.world_scale;
+}
+
+// Evaluates the visible triangle at the pixel (column, row) of the image.
 static inline Hit find_hit(
-    View view, uint prim_id, float x, float y, float4 direction,
+    View view, uint prim_id, uint column, uint row, float4 direction,
     global const float4 *positions, global const uint *indices, global const float4 *normals) {
   Hit hit;
   hit.at.prim_id = prim_id;
@@ -100,15 +118,11 @@ static inline Hit find_hit(
   const float4 p0 = positions[hit.at.i0], p1 = positions[hit.at.i1], p2 = positions[hit.at.i2];
   const Vec3 a = {p0.x, p0.y, p0.z}, b = {p1.x, p1.y, p1.z}, c = {p2.x, p2.y, p2.z};
   const TriangleSetup setup = setup_triangle(a, b, c, view);
+  const float x = (float)column + (0.5f - view.center_x), y = (float)row + (0.5f - view.center_y);
   float v[3];
   for (uint i = 0; i < 3; ++i) v[i] = edge_value(setup.edge[i].c, setup.edge[i].gx, setup.edge[i].gy, x, y);
   weigh_vertices(&hit.at, v[0], v[1], v[2]);
-  const float near = edge_value(setup.depth_c, setup.depth_x, setup.depth_y, x, y);
-#if PROJECTION == PROJECTION_ORTHOGRAPHIC
-  hit.t = -near / view.world_scale;
-#else
-  hit.t = (1.0f / near) / view.world_scale;
-#endif
+  hit.t = ray_parameter(view, p0, p1, p2, (float)column + 0.5f, (float)row + 0.5f);
   hit.direction = direction;
   hit.position = ((p0 * hit.at.b0 + p1 * hit.at.b1) + p2 * hit.at.b2) / view.world_scale;
   const Vec3 plane = cross3(subtract(b, a), subtract(c, a));
@@ -195,7 +209,6 @@ kernel void shade_hits(
   const uint pixel = get_global_id(0);
   if (pixel >= pixel_count) return;
   const uint column = pixel % view.width, row = pixel / view.width + (view.band_row << TILE_LOG2);
-  const float x = (float)column + (0.5f - view.center_x), y = (float)row + (0.5f - view.center_y);
   const size_t stride = pixel_count;
   global float *out = values + pixel;
 
@@ -237,7 +250,7 @@ kernel void shade_hits(
   }
 
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
-  const Hit hit = find_hit(view, prim_id, x, y, direction, positions, indices, normals);
+  const Hit hit = find_hit(view, prim_id, column, row, direction, positions, indices, normals);
   const uint material_id = material_ids[prim_id];
   if (layer == 0) {
     if (planes.depth != PLANE_NONE) out[planes.depth * stride] = hit.t;

@@ -31,6 +31,7 @@ AVAILABLE_PROJECTIONS = ("perspective", "orthographic")
 QUALITIES = ("preview", "draft", "final")
 ORACLES = ("is_outside", "is_occluded", "split_frustum", "generate_samples", "binning")
 AOV_GROUPS = ("color", "depth", "distance", "normal", "position", "bary", "uv", "albedo", "ray", "id", "cost")
+AVAILABLE_AOV_GROUPS = AOV_GROUPS[:-1]
 EFFECTS = (
     "shadow", "reflection", "refraction", "indirect light", "emission", "textures", "normal interpolation",
     "alpha mask", "alpha blend", "environment", "secondary acceleration structure", "derivatives",
@@ -168,9 +169,9 @@ def parse_aov(option: str, value: Any) -> tuple[str, ...]:
         if name == "all":
             wanted.update(group for group in AOV_GROUPS if group != "cost")
         else:
-            wanted.add(check_choice(option, name, (*AOV_GROUPS, "all")))
+            wanted.add(check_choice(option, name, (*AOV_GROUPS, "all"), (*AVAILABLE_AOV_GROUPS, "all")))
     if not wanted:
-        raise UsageError(f"{option} names no group: use {listed((*AOV_GROUPS, 'all'))}")
+        raise UsageError(f"{option} names no group: use {listed((*AVAILABLE_AOV_GROUPS, 'all'))}")
     return tuple(group for group in AOV_GROUPS if group in wanted)
 
 
@@ -261,10 +262,12 @@ def _text(option: str, value: Any) -> str:
     return value
 
 
-def _flag(option: str, value: Any) -> bool:
-    if value not in (True, False, "true", "false", "on", "off"):
-        raise UsageError(f"{option} {value!r} is unknown: use true or false")
-    return value in (True, "true", "on")
+def _parse_counters(option: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise UsageError(f"{option} {value!r} is unknown: use True or False")
+    if value:
+        raise UnavailableError(f"{option} is not available in this version; use --stats for what is known without")
+    return value
 
 
 _PARSERS: dict[str, Callable[[str, Any], Any]] = {
@@ -274,7 +277,7 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "mode": _choice(MODES, ("cast",)),
     "aov": parse_aov,
     "effects": parse_effects,
-    "counters": _flag,
+    "counters": _parse_counters,
     "device": _text,
     "threads": _count(1, 4096),
     "memory": parse_memory,

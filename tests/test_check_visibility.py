@@ -1,4 +1,4 @@
-"""tools/check_visibility.py as a program: its exit codes, its bars and its figures, with the float32 twin as renderer."""
+"""tools/check_visibility.py as a program: exit codes, bars and figures, with the float32 twin as renderer."""
 
 from __future__ import annotations
 

@@ -1,26 +1,23 @@
-"""The command line without a device: exit codes and their one line, cameras, outputs, help.
+"""The command line without a device: exit codes and their one line, outputs, help.
 
-The renderer, the loader and the image files are stand-ins here; tests/test_cli_render.py runs the real ones.
+The renderer and the loader are stand-ins here (cli_world.py); tests/test_cli_render.py runs the real ones.
 """
 
 from __future__ import annotations
 
 import io
 import json
-import math
 import os
 import subprocess
 import sys
+import tomllib
 from contextlib import chdir, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field, replace
-from itertools import permutations
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
+from cli_world import World, fails, make_scene, make_world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -28,100 +25,13 @@ import clrast
 from clrast import errors
 from clrast.__main__ import main
 from clrast.commands.stats import COUNTS, KEYS, STAGES
-from clrast.options import EFFECTS, RenderOptions
+from clrast.options import EFFECTS
 from clrast.scene.model import Camera, Scene
-
-
-@dataclass(frozen=True)
-class FakeFrame:
-    channels: dict[str, Any]
-    header: dict[str, Any] = field(default_factory=dict)
-    stats: dict[str, Any] = field(default_factory=dict)
-    disk_is_full: bool = False
-
-    def save(self, path: str, half: bool = False) -> None:
-        if self.disk_is_full and path.endswith(".png"):
-            raise errors.OutputError(f"{path}: cannot be written (No space left on device): make room")
-        Path(path).write_text(",".join(self.channels))
-
-
-@dataclass
-class World:
-    """What the stand-ins give, and what they were asked for."""
-
-    folder: Path
-    scene: Scene
-    calls: list[tuple[Camera, RenderOptions]] = field(default_factory=list)
-    fault: BaseException | None = None
-    disk_is_full: bool = False
-    load_fault: BaseException | None = None
-
-    @property
-    def source(self) -> str:
-        return str(self.folder / "scene.ply")
-
-    def out(self, name: str = "out.exr") -> str:
-        return str(self.folder / name)
-
-    def files(self) -> list[str]:
-        return sorted(path.name for path in self.folder.iterdir())
-
-    def load(self, path: str) -> Scene:
-        if self.load_fault:
-            raise self.load_fault
-        return self.scene
-
-    def render(self, scene: Scene, camera: Camera | None = None, *, options: RenderOptions) -> FakeFrame:
-        if self.fault:
-            raise self.fault
-        assert camera is not None
-        self.calls.append((camera, options))
-        channels: dict[str, Any] = {"Z": 0, "id.prim": 0}
-        if "color" in options.aov:
-            channels = {"R": 0, "G": 0, "B": 0, "A": 0, **channels}
-        stats = {
-            "device": "a device", "method": "3dr-binning", "bytes_device": np.int64(12), "camera": {"e": np.zeros(3)},
-            "counts": {"triangles": 1, "samples": math.nan}, "times_ms": {"setup": 1.5, "visibility": np.float32(2.5)},
-            "effects": [{"name": "textures", "on": False, "reason": "no texture"}],
-        }  # fmt: skip
-        return FakeFrame(channels, {}, stats, self.disk_is_full)
-
-
-def make_scene(**changes: Any) -> Scene:
-    """One triangle in the box from (0,0,0) to (2,4,0)."""
-    scene = Scene(
-        positions=np.array([[0, 0, 0], [2, 0, 0], [0, 4, 0]], np.float32),
-        triangles=np.array([[0, 1, 2]], np.uint32),
-        object_ids=np.zeros(1, np.uint32),
-        material_ids=np.zeros(1, np.uint32),
-        name="scene.ply",
-    )
-    return replace(scene, **changes)
 
 
 @pytest.fixture
 def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
-    made = World(tmp_path, make_scene())
-    Path(made.source).write_text("ply")
-    for name, members in {
-        "clrast.renderer": {"render": made.render},
-        "clrast.scene.load": {"load": made.load},
-    }.items():
-        module = ModuleType(name)
-        vars(module).update(members)
-        monkeypatch.setitem(sys.modules, name, module)
-    return made
-
-
-def fails(capsys: pytest.CaptureFixture[str], code: int, *arguments: str) -> str:
-    """Run, check the exit code and that stderr has one error line; returns it."""
-    assert main(arguments) == code
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    lines = [line for line in printed.err.splitlines() if line.startswith("clrast: error: ")]
-    assert len(lines) == 1
-    assert "Traceback" not in printed.err
-    return lines[0]
+    return make_world(tmp_path, monkeypatch)
 
 
 # Usage: 64
@@ -346,101 +256,6 @@ def test_fov_is_ignored_by_an_orthographic_view(world: World, capsys: pytest.Cap
     assert world.calls[0][0] == world.scene.cameras[0]
 
 
-# Cameras
-
-
-def camera_of(world: World, *arguments: str) -> Camera:
-    assert main(["render", world.source, "-o", world.out(), "-q", *arguments]) == 0
-    return world.calls[-1][0]
-
-
-def test_values_may_begin_with_a_minus(world: World) -> None:
-    camera = camera_of(world, "--eye", "-1,2,3", "--look-at", "-1,0,0", "--up=-1,0,0")
-    assert (camera.eye, camera.look_at, camera.up) == ((-1, 2, 3), (-1, 0, 0), (-1, 0, 0))
-    camera = camera_of(world, "--eye=-1e-3,-2,-.5", "--up", "-0,-1,-0")
-    assert (camera.eye, camera.up) == ((-0.001, -2, -0.5), (0, -1, 0))
-
-
-def test_the_order_of_options_never_matters(world: World) -> None:
-    parts = [[world.source], ["-o", world.out()], ["--eye", "-1,2,3"], ["--size=8x4"], ["--aov", "id,depth"]]
-    for order in permutations(parts):
-        assert main(["render", *(word for part in order for word in part)]) == 0
-    assert len(set(map(repr, world.calls))) == 1
-    camera, options = world.calls[0]
-    assert (camera.eye, options.size, options.aov) == ((-1, 2, 3), (8, 4), ("depth", "id"))
-
-
-def test_defaults_of_a_given_camera(world: World) -> None:
-    """The bounding box is (0,0,0) to (2,4,0); nothing comes from the file's camera."""
-    world.scene = make_scene(cameras=(Camera("c", "orthographic", (9, 9, 9), (8, 8, 8), (1, 0, 0), 10.0, 5.0),))
-    camera = camera_of(world, "--eye", "1,2,7")
-    assert (camera.projection, camera.look_at, camera.up, camera.fov) == ("perspective", (1, 2, 0), (0, 1, 0), 45)
-    camera = camera_of(world, "--eye", "1,2,7", "--projection", "orthographic")
-    assert camera.height == pytest.approx(2 * 7 * math.tan(math.pi / 8), rel=1e-15)
-    camera = camera_of(world, "--look-at", "1,1,1")
-    assert camera.look_at == (1, 1, 1) and camera.eye != (9, 9, 9)
-
-
-def test_a_camera_of_the_file_and_values_over_it(world: World) -> None:
-    first = Camera("first", "perspective", (0, 0, 5), (0, 0, 1), (0, 1, 0), 30.0)
-    world.scene = make_scene(cameras=(first, Camera("7", eye=(1, 2, 3)), Camera("x", eye=(3, 2, 1))))
-    assert camera_of(world) == first
-    assert camera_of(world, "--camera", "x").name == "x"
-    assert camera_of(world, "--camera", "2").name == "x"
-    assert camera_of(world, "--camera", "7").name == "7"
-    assert camera_of(world, "--fov", "20") == replace(first, fov=20.0)
-    assert camera_of(world, "--up", "1,0,0") == replace(first, up=(1.0, 0.0, 0.0))
-    flat = camera_of(world, "--projection", "orthographic")
-    assert (flat.projection, flat.eye, flat.fov) == ("orthographic", (0, 0, 5), 30.0)
-    assert flat.height == pytest.approx(2 * 4 * math.tan(math.radians(15)), rel=1e-15)
-    assert camera_of(world, "--projection", "orthographic", "--height", "1.5").height == 1.5
-
-
-@pytest.mark.parametrize(("size", "fov"), [("64x64", "45"), ("64x64", "10"), ("64x64", "120"), ("32x96", "30")])
-def test_framing_keeps_the_scene_in_view(world: World, size: str, fov: str) -> None:
-    """Every corner of the bounding box is inside the view, and the box's sphere fills it at least by two thirds."""
-    from clrast.scene.camera import view_basis
-
-    camera = camera_of(world, "--size", size, "--fov", fov)
-    width, height = map(int, size.split("x"))
-    assert camera.fov == float(fov)
-    forward, right, up = view_basis(camera)
-    half = math.tan(math.radians(camera.fov) / 2)
-
-    def dot(a: Any, b: Any) -> float:
-        return float(sum(x * y for x, y in zip(a, b, strict=True)))
-
-    for corner in ((0, 0, 0), (2, 0, 0), (0, 4, 0), (2, 4, 0)):
-        toward = [c - e for c, e in zip(corner, camera.eye, strict=True)]
-        depth = dot(toward, forward)
-        assert depth > 0
-        assert abs(dot(toward, right)) <= depth * half * width / height
-        assert abs(dot(toward, up)) <= depth * half
-    radius = math.sqrt(5)
-    narrow = math.atan(half * min(1, width / height))
-    assert radius / math.dist(camera.eye, (1, 2, 0)) >= math.sin(narrow) * 2 / 3
-
-
-def test_a_cards_values_yield(world: World, capsys: pytest.CaptureFixture[str]) -> None:
-    own = {"precision": "fast", "aov": "id", "effects": "alpha_mask=off,textures=off"}
-    world.scene = make_scene(image_size=(32, 16), render_options=own)
-    camera_of(world)
-    options = world.calls[-1][1]
-    assert (options.size, options.precision, options.aov) == ((32, 16), "fast", ("id",))
-    camera_of(world, "--size", "8x8", "--precision", "ordered", "--effects", "textures=auto", "--aov", "depth")
-    options = world.calls[-1][1]
-    assert (options.size, options.precision, options.aov) == ((8, 8), "ordered", ("depth",))
-    assert options.effects == {"alpha mask": "off", "textures": "auto"}
-    capsys.readouterr()
-    world.scene = make_scene(render_options={"precision": "exact", "mode": "path"})
-    camera_of(world)
-    printed = capsys.readouterr().err.splitlines()
-    assert [line.split(":")[0] for line in printed] == ["warning", "warning"]
-    assert world.calls[-1][1].precision == "midpoint"
-    world.scene = make_scene(render_options={"precision": "exakt"})
-    assert "precision" in fails(capsys, 65, "render", world.source, "-o", world.out())
-
-
 # The program as a whole
 
 
@@ -469,6 +284,8 @@ def test_every_example_parses() -> None:
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    project = tomllib.loads((Path(__file__).resolve().parents[1] / "pyproject.toml").read_text())
+    assert clrast.__version__ == project["project"]["version"]
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"clrast {clrast.__version__}\n"
 

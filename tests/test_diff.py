@@ -299,14 +299,17 @@ def test_sizes_channels_and_parts(tmp_path):
         assert diff(whole, never, allow_missing=True).exit_code == 3
 
 
-def write_parts(path: Path, *parts: tuple[str, str, dict[str, np.ndarray]], origin: tuple[int, int] = (0, 0)) -> None:
+def write_parts(
+    path: Path, *parts: tuple[str, str, dict[str, np.ndarray]], origin: tuple[int, int] = (0, 0), whole: int = 64
+) -> None:
+    """A file as another program may write it: (part name, type, channels), stored from `origin` on."""
     specs = []
     for name, kind, channels in parts:
         rows, columns = next(iter(channels.values())).shape
         spec = oiio.ImageSpec(columns, rows, len(channels), kind)
         spec.channelnames = tuple(channels)
         spec.x, spec.y = origin
-        spec.full_width, spec.full_height = 64, 64
+        spec.full_width = spec.full_height = whole
         spec.attribute("oiio:subimagename", name)
         specs.append(spec)
     output = oiio.ImageOutput.create("openexr")
@@ -341,6 +344,10 @@ def test_files_of_other_programs(tmp_path):
     assert halved.exit_code == 0 and any("half" in note for note in halved.notes)
     write_parts(tmp_path / "moved.exr", files["one"][0], origin=(11, 20))
     assert diff(path["one"], tmp_path / "moved.exr").exit_code == 3
+    write_parts(tmp_path / "framed.exr", files["one"][0], origin=(10, 20), whole=65)
+    assert diff(path["one"], tmp_path / "framed.exr").structure == [
+        f"the whole image: 64x64 in {path['one']}, 65x65 in {tmp_path / 'framed.exr'}"
+    ]
 
 
 def test_headers_are_notes_unless_asked_for(tmp_path):

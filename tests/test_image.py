@@ -120,6 +120,14 @@ def test_without_beauty_the_first_group_comes_first(tmp_path):
     assert names == [b"normal", b"id"]
 
 
+def test_a_part_holds_one_type(tmp_path):
+    channels = {"x.A": np.full((2, 2), 0.5, np.float32), "x.B": np.full((2, 2), 70001, np.uint32)}
+    Frame(channels).save(tmp_path / "x.exr")
+    assert [part.name for part in Frame(channels).parts()] == ["x", "x_uint"]
+    back = Frame.load(tmp_path / "x.exr")
+    assert all(np.array_equal(back[name], channels[name]) for name in channels)
+
+
 def test_header_has_what_decides_pixels_and_nothing_else(tmp_path):
     make_frame().save(tmp_path / "all.exr")
     headers = raw_headers((tmp_path / "all.exr").read_bytes())

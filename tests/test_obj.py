@@ -57,7 +57,8 @@ def test_relative_indices_count_from_the_line_of_the_face(tmp_path):
 
 
 def test_relative_indices_of_texture_coordinates_and_normals_count_their_own_lines(tmp_path):
-    text = POINTS + "vt 0 0\nvt 1 0.25\nvn 0 0 2\nf 1/-2/-1 2/-1/-1 3/2/1\nvt 0.5 1\nvn 0 3 4\nf -4/-1/-1 -3/-1/-2 -1/1/1\n"
+    text = POINTS + "vt 0 0\nvt 1 0.25\nvn 0 0 2\nf 1/-2/-1 2/-1/-1 3/2/1\n"
+    text += "vt 0.5 1\nvn 0 3 4\nf -4/-1/-1 -3/-1/-2 -1/1/1\n"
     scene = load_text(tmp_path, text)
     assert scene.uv[scene.triangles].tolist() == [[[0, 1], [1, 0.75], [1, 0.75]], [[0.5, 0], [0.5, 0], [0, 1]]]
     up, slant = [0, 0, 1], np.float32([0, 0.6, 0.8]).tolist()
@@ -68,7 +69,8 @@ def test_corners_of_every_form_and_vertices_split_where_attributes_differ(tmp_pa
     text = POINTS + "vt 0.5\nvt 1 1 1\nvn 0 0 1\nf 1 2/ 3//\nf 1/2 3/1/ 4/1/1\nf 1//1 3/1 4\n"
     scene = load_text(tmp_path, text)
     none, up = [0, 0, 0], [0, 0, 1]
-    assert scene.uv[scene.triangles].tolist() == [[[0, 0]] * 3, [[1, 0], [0.5, 1], [0.5, 1]], [[0, 0], [0.5, 1], [0, 0]]]
+    uv = [[none[:2]] * 3, [[1, 0], [0.5, 1], [0.5, 1]], [[0, 0], [0.5, 1], [0, 0]]]
+    assert scene.uv[scene.triangles].tolist() == uv
     assert scene.normals[scene.triangles].tolist() == [[none] * 3, [none, none, up], [up, none, none]]
     # (1) (2) (3) (1,vt2) (3,vt1) (4,vt1,vn1) (1,vn1) (4): 8 vertices, the last two triples of face 3 shared
     assert scene.vertex_count == 8
@@ -130,8 +132,7 @@ def test_vertex_colours_are_linear_and_bad_ones_white(tmp_path):
 def test_what_is_not_drawn_is_said(tmp_path):
     scene = load_text(tmp_path, POINTS + "s 1\np 1\nl 1 2\nl 2 3\ncurv 0 1 1 2\nf 1 2 3\nf 1 2\n")
     said = "; ".join(scene.warnings)
-    for words in ("points are not drawn: 1", "lines are not drawn: 2", "'curv'", "fewer than 3 corners are not drawn: 1",
-                  "smoothing groups"):
+    for words in ("points are not drawn: 1", "lines are not drawn: 2", "'curv'", "3 corners are not", "smoothing"):
         assert words in said
 
 
@@ -185,7 +186,7 @@ def test_materials_of_an_mtl_file(tmp_path):
         assert words in said
 
 
-@pytest.mark.parametrize("name", ["../outside.mtl", "/etc/passwd", "http://example.org/a.mtl", "missing.mtl", "C:\\a.mtl"])
+@pytest.mark.parametrize("name", ["../outside.mtl", "/etc/passwd", "http://example.org/a.mtl", "no.mtl", "C:\\a.mtl"])
 def test_material_files_outside_or_missing_are_left_out_and_said(tmp_path, name):
     inner = tmp_path / "inner"
     inner.mkdir()

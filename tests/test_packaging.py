@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -53,8 +54,11 @@ def test_scripts_are_executable_and_parse(script: str) -> None:
 @pytest.mark.long
 def test_a_wheel_carries_kernels_and_data_and_runs_elsewhere(tmp_path: Path) -> None:
     """Built by pip, unpacked in an environment without the checkout; needs the network for setuptools."""
+    source = tmp_path / "source"
+    unwanted = shutil.ignore_patterns(".*", "__pycache__", "build", "out", "*.egg-info")
+    shutil.copytree(ROOT, source, ignore=unwanted)  # pip builds in place, and would leave its folders
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input"]
-    subprocess.run([*pip, "wheel", "-q", "--no-deps", "-w", str(tmp_path), str(ROOT)], check=True, cwd=tmp_path)
+    subprocess.run([*pip, "wheel", "-q", "--no-deps", "-w", str(tmp_path), str(source)], check=True, cwd=tmp_path)
     (wheel,) = tmp_path.glob("clrast-*.whl")
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())

@@ -50,6 +50,8 @@ def test_png_is_the_picture_without_a_date(tmp_path):
     pixels = np.asarray(Image.open(tmp_path / "a.png"))
     assert pixels[0, 0].tolist() == [188, 118, 0, 255]
     assert pixels[0, 1, 3] == 128 and np.array_equal(pixels, picture(frame))
+    opaque = Frame({name: straight[:, 1:, k] for k, name in enumerate("RGB")})
+    assert pixels[0, 1, :3].tolist() == picture(opaque)[0, 0].tolist()
 
 
 def test_pictures_of_other_groups():

@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -108,13 +108,13 @@ def part_of(scene: Any, chosen: np.ndarray) -> Any:
 def render_frame(scene: Any, view: View, size: tuple[int, int], options: argparse.Namespace) -> Frame:
     """(prim_id, Z, camera vectors) from the renderer or, with `--renderer RUNG`, from the float32 twin."""
     if options.renderer in RUNGS:
-        camera = round_camera(view_vectors(view, size))
-        return (*render_twin(scene.positions, scene.triangles, camera, *size, options.renderer), camera)
+        vectors = round_camera(view_vectors(view, size))
+        return (*render_twin(scene.positions, scene.triangles, vectors, *size, options.renderer), vectors)
     import clrast
     from clrast.scene.model import Camera
 
-    kind = "perspective" if view.height is None else "orthographic"
-    camera = Camera(view.name, kind, view.eye, view.look_at, view.up, view.fov, view.height or 2.0)
+    projection: Literal["perspective", "orthographic"] = "perspective" if view.height is None else "orthographic"
+    camera = Camera(view.name, projection, view.eye, view.look_at, view.up, view.fov, view.height or 2.0)
     extra = dict(pair.split("=", 1) for pair in options.option)
     frame = clrast.render(
         scene, camera=camera, size=size, aov=("id", "depth"), effects={"alpha mask": "off"}, **extra

@@ -146,7 +146,7 @@ def fan_card(blades: int = 24) -> bytes:
     """A closed fan round a vertex that lies at the centre of pixel (32, 32) of a 64x64 image, exactly.
 
     With fov 90 the ray through viewport point (x, y) has d = ((x - 32) / 32, (32 - y) / 32, -1). All
-    vertices are at z = -4 and at multiples of 1/16, where two rays half a pixel apart meet that plane: float32 holds them.
+    vertices are at z = -4, and x and y are multiples of 1/16 (half a pixel there), which float32 holds.
     Rim vertices lie at pixel corners and pixel centres near a circle of 28 pixels.
     """
 

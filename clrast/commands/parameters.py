@@ -94,15 +94,15 @@ Aov = Annotated[
     Texts,
     _option(
         "--aov", metavar="LIST",
-        text="Comma list of color, depth, distance, normal, position, bary, uv, albedo, ray, id, cost; "
-        "all is every group but cost [default: color,depth].",
+        text="Comma list of color, depth, distance, normal, position, bary, uv, albedo, ray, id; "
+        "or all [default: color,depth].",
         panel=OUTPUTS,
     ),
 ]  # fmt: skip
 Stats = Annotated[
     Texts, _option("--stats", metavar="FILE", text="Camera, counts, times and effects as JSON.", panel=OUTPUTS)
 ]
-Counters = Annotated[bool, _switch("--counters", text="Count edge evaluations and more, for --stats.", panel=OUTPUTS)]
+Counters = Annotated[bool, typer.Option("--counters", hidden=True)]
 Report = Annotated[bool, _switch("--report", text="Print effects with reasons, and times.", panel=OUTPUTS)]
 Json = Annotated[bool, _switch("--json", text="Print the stats as JSON in place of the report.", panel=OUTPUTS)]
 Quiet = Annotated[bool, _switch("-q", "--quiet", text="No notes and no progress; warnings stay.", panel=OUTPUTS)]

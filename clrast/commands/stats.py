@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,6 +19,8 @@ COUNTS = (
     "rays_refraction", "rays_indirect", "traversal_steps", "intersection_tests", "kernel_launches", "passes",
 )  # fmt: skip
 STAGES = ("load", "build", "setup", "bin", "visibility", "shade", "resolve", "write", "plan", "total")
+
+_VECTOR = re.compile(r"\[[-+.eE0-9,\s]+\]")
 
 
 def complete_stats(own: Mapping[str, Any], options: RenderOptions, times_ms: Mapping[str, float]) -> dict[str, Any]:
@@ -45,8 +48,9 @@ def complete_stats(own: Mapping[str, Any], options: RenderOptions, times_ms: Map
 
 
 def to_json(stats: Mapping[str, Any]) -> str:
-    """JSON without NaN or Infinity, one key a line, ending in a line end."""
-    return json.dumps(_plain(stats), indent=2, allow_nan=False) + "\n"
+    """JSON without NaN or Infinity, a key or a vector a line, ending in a line end."""
+    text = json.dumps(_plain(stats), indent=2, allow_nan=False)
+    return _VECTOR.sub(lambda vector: json.dumps(json.loads(vector.group())), text) + "\n"
 
 
 def report_lines(stats: Mapping[str, Any]) -> list[str]:
@@ -56,7 +60,8 @@ def report_lines(stats: Mapping[str, Any]) -> list[str]:
     widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
     lines = [f"{name:<{widths[0]}}  {state:<{widths[1]}}  {reason}" for name, state, reason in rows]
     lines += ["", f"{'stage':<10}  {'ms':>9}"]
-    lines += [f"{stage:<10}  {stats['times_ms'][stage]:9.2f}" for stage in STAGES]
+    more = [stage for stage in stats["times_ms"] if stage not in STAGES]
+    lines += [f"{stage:<10}  {stats['times_ms'][stage]:9.2f}" for stage in (*STAGES[:-1], *more, STAGES[-1])]
     return lines
 
 

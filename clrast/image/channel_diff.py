@@ -116,19 +116,38 @@ class ChannelDiff:
 
 @dataclass(frozen=True)
 class PixelErrors:
-    """Per pixel, (H, W): what a channel adds to the verdict over its part.
+    """One channel's errors, (H, W).
 
     error : float64 |reference - test|, inf where nonfinite, 0 where equal; 1 or 0 for uint
     relevant : float64, the error where the relative threshold does not excuse it, else 0
-    fails, warns, fails_hard, warns_hard : bool
+    fails, warns : bool
     """
 
     error: np.ndarray
     relevant: np.ndarray
     fails: np.ndarray
     warns: np.ndarray
-    fails_hard: np.ndarray
-    warns_hard: np.ndarray
+
+
+class PartTotals:
+    """What the float channels of a part add up to at each pixel, (H, W).
+
+    fails, warns : bool, of any channel
+    error : float64, largest of any channel; without_rule : of those that no rule has, `relevant` ones alone
+    """
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.fails = np.zeros(shape, bool)
+        self.warns = np.zeros(shape, bool)
+        self.error = np.zeros(shape)
+        self.without_rule = np.zeros(shape)
+
+    def add(self, channel: PixelErrors, ruled: bool) -> None:
+        self.fails |= channel.fails
+        self.warns |= channel.warns
+        np.maximum(self.error, channel.error, out=self.error)
+        if not ruled:
+            np.maximum(self.without_rule, channel.relevant, out=self.without_rule)
 
 
 def compare_floats(
@@ -162,7 +181,7 @@ def compare_floats(
     relevant = np.where(error > limits.failrelative * mean_size, error, 0.0)
     found.passes_at = None if found.nonfinite else rounded_up(float(relevant.max()))
     _locate(found, int(error.argmax()), reference, test)
-    return PixelErrors(error, relevant, fails | wrong, warns, error > limits.hardfail, error > limits.hardwarn)
+    return PixelErrors(error, relevant, fails | wrong, warns)
 
 
 def compare_ids(found: ChannelDiff, reference: np.ndarray, test: np.ndarray) -> PixelErrors | None:
@@ -175,8 +194,7 @@ def compare_ids(found: ChannelDiff, reference: np.ndarray, test: np.ndarray) -> 
     found.passes_at = found.differing
     _locate(found, int(differs.argmax()), reference, test)
     error = differs.astype(np.float64)
-    nothing = np.zeros_like(differs)
-    return PixelErrors(error, error, nothing, nothing, nothing, nothing)
+    return PixelErrors(error, error, differs, differs)
 
 
 def _locate(found: ChannelDiff, index: int, reference: np.ndarray, test: np.ndarray) -> None:

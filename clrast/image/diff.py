@@ -17,7 +17,7 @@ import numpy as np
 from clrast.errors import UsageError
 from clrast.image.channel_diff import (
     ChannelDiff,
-    PixelErrors,
+    PartTotals,
     Thresholds,
     compare_floats,
     compare_ids,
@@ -107,12 +107,12 @@ def diff(
     pairing = pair_up(_parts(reference), _parts(test), names, from_files)
     _check_rules(limits, pairing)
     report = DiffReport(*names)
-    maps = ErrorMaps()
+    maps = None if output is None else ErrorMaps()
     for part in dict.fromkeys(id(pair.reference) for pair in pairing.pairs):
         _compare_part(report, [pair for pair in pairing.pairs if id(pair.reference) == part], limits, maps)
     _compare_colour(report, pairing.pairs, limits)
     _judge(report, pairing, limits)
-    if output is not None and not (output_only_different and report.equal):
+    if output is not None and maps is not None and not (output_only_different and report.equal):
         if maps.ratio is None:
             report.notes.append(f"{output} is not written: no pixels could be compared")
         else:
@@ -146,68 +146,61 @@ def _check_rules(limits: Thresholds, pairing: Pairing) -> None:
             raise UsageError(f"--rule {name}: no such channel was compared: there are {' '.join(keys)}")
 
 
-def _compare_part(report: DiffReport, pairs: Sequence[Pair], limits: Thresholds, maps: ErrorMaps) -> None:
+def _compare_part(report: DiffReport, pairs: Sequence[Pair], limits: Thresholds, maps: ErrorMaps | None) -> None:
     """Compare the channels of one part; pixels are counted over all of its float channels together."""
-    float_results: list[tuple[ChannelDiff, PixelErrors]] = []
+    floats: list[ChannelDiff] = []
+    totals: PartTotals | None = None
     for pair in pairs:
         a, b = pair.reference.channels[pair.name], pair.test.channels[pair.name]
         rule = limits.rule_for(pair.key)
         uint = a.dtype == np.uint32
         standard = float(limits.id_fail) if uint else limits.fail
-        found = ChannelDiff(
-            pair.reference.name, pair.key, "uint" if uint else "float", standard if rule is None else rule
-        )
+        threshold = standard if rule is None else rule
+        found = ChannelDiff(pair.reference.name, pair.key, "uint" if uint else "float", threshold)
         errors = compare_ids(found, a, b) if uint else compare_floats(found, a, b, limits, rule)
         report.channels.append(found)
-        maps.add(pair.key, a.shape, errors, found.threshold if not uint else 0.0)
+        if maps is not None:
+            maps.add(pair.key, a.shape, None if errors is None else errors.error, 0.0 if uint else threshold)
         if found.worst is not None:
             found.worst = (found.worst[0] + pair.reference.window[0], found.worst[1] + pair.reference.window[1])
-        if uint:
-            found.status = "failure" if found.failing else "pass"
-            if found.failing:
-                _let_pass(report, "--id-fail" if rule is None else f"--rule {pair.key}=", found.differing)
-        elif errors is not None:
-            float_results.append((found, errors))
-    if float_results:
-        _judge_part(report, float_results, limits)
+        if uint and found.failing:
+            found.status = "failure"
+            _let_pass(report, "--id-fail" if rule is None else f"--rule {pair.key}=", found.differing)
+        elif not uint and errors is not None:
+            totals = PartTotals(a.shape) if totals is None else totals
+            totals.add(errors, rule is not None)
+            floats.append(found)
+    if totals is not None:
+        _judge_part(report, floats, totals, limits)
 
 
 def _judge_part(
-    report: DiffReport, results: Sequence[tuple[ChannelDiff, PixelErrors]], limits: Thresholds
+    report: DiffReport, floats: Sequence[ChannelDiff], totals: PartTotals, limits: Thresholds
 ) -> None:
     """Status of a part's float channels, and what would let them pass."""
-    pixels = results[0][1].error.size
-    allowed = max(limits.allowfailures, limits.failpercent * pixels / 100.0)
-    allowed_warnings = max(limits.allowfailures, limits.warnpercent * pixels / 100.0)
-
-    def count(mask: str) -> int:
-        return int(np.count_nonzero(np.logical_or.reduce([getattr(errors, mask) for _, errors in results])))
-
-    nonfinite = any(found.nonfinite for found, _ in results)
-    over, over_hard = count("fails") > allowed, count("fails_hard") > limits.allowfailures
-    warned, warned_hard = count("warns") > allowed_warnings, count("warns_hard") > limits.allowfailures
-    for found, errors in results:
-        hard, hard_warning = bool(errors.fails_hard.any()), bool(errors.warns_hard.any())
-        if found.nonfinite or (over and found.failing) or (over_hard and hard):
+    allowed = max(limits.allowfailures, limits.failpercent * totals.fails.size / 100.0)
+    allowed_warnings = max(limits.allowfailures, limits.warnpercent * totals.fails.size / 100.0)
+    over, warned = np.count_nonzero(totals.fails) > allowed, np.count_nonzero(totals.warns) > allowed_warnings
+    over_hard = np.count_nonzero(totals.error > limits.hardfail) > limits.allowfailures
+    warned_hard = np.count_nonzero(totals.error > limits.hardwarn) > limits.allowfailures
+    for found in floats:
+        error = found.max_error or 0.0
+        if found.nonfinite or (over and found.failing) or (over_hard and error > limits.hardfail):
             found.status = "failure"
-        elif (warned and found.warning) or (warned_hard and hard_warning):
+        elif (warned and found.warning) or (warned_hard and error > limits.hardwarn):
             found.status = "warning"
-    if nonfinite:
+    if any(found.nonfinite for found in floats):
         report.passes_with = None
         return
     if over:
-        ruled = [(found, errors) for found, errors in results if limits.rule_for(found.channel) is not None]
-        plain = [errors.relevant for found, errors in results if limits.rule_for(found.channel) is None]
-        if plain:
-            needed = largest_but(np.maximum.reduce(plain), math.floor(allowed))
-            if needed > limits.fail:
-                _let_pass(report, "--fail", rounded_up(needed))
-        for found, _ in ruled:
-            if found.failing:
+        needed = largest_but(totals.without_rule, math.floor(allowed))
+        if needed > limits.fail:
+            _let_pass(report, "--fail", rounded_up(needed))
+        for found in floats:
+            if found.failing and limits.rule_for(found.channel) is not None:
                 _let_pass(report, f"--rule {found.channel}=", found.passes_at or 0.0)
     if over_hard:
-        needed = largest_but(np.maximum.reduce([errors.error for _, errors in results]), limits.allowfailures)
-        _let_pass(report, "--hardfail", rounded_up(needed))
+        _let_pass(report, "--hardfail", rounded_up(largest_but(totals.error, limits.allowfailures)))
 
 
 def _let_pass(report: DiffReport, option: str, value: float) -> None:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from clrast.image.channel_diff import PixelErrors
 from clrast.image.files import image_suffix
 from clrast.image.flip import FlipError
 from clrast.image.frame import Frame
@@ -28,21 +27,21 @@ class ErrorMaps:
         self.errors: dict[str, np.ndarray] = {}
         self.ratio: np.ndarray | None = None
 
-    def add(self, channel: str, shape: tuple[int, ...], found: PixelErrors | None, threshold: float) -> None:
-        """Add a channel (None: it is equal); one of another size than the first is left out."""
+    def add(self, channel: str, shape: tuple[int, ...], error: np.ndarray | None, threshold: float) -> None:
+        """Add a channel's (H, W) float64 errors (None: it is equal); another size than the first's is left out."""
         if self.ratio is None:
             self.ratio = np.zeros(shape)
         if self.ratio.shape != shape:
             return
-        if found is None:
+        if error is None:
             self.errors[channel] = np.zeros(shape, np.float32)
             return
         with np.errstate(over="ignore", under="ignore"):
-            self.errors[channel] = found.error.astype(np.float32)
+            self.errors[channel] = error.astype(np.float32)
             if threshold == 0 or np.isinf(threshold):
-                ratio = np.where(found.error > (0 if threshold == 0 else np.finfo(np.float64).max), np.inf, 0.0)
+                ratio = np.where(error > (0 if threshold == 0 else np.finfo(np.float64).max), np.inf, 0.0)
             else:
-                ratio = found.error / threshold
+                ratio = error / threshold
         self.ratio = np.maximum(self.ratio, ratio)
 
 

@@ -62,7 +62,7 @@ class Device:
     programs: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     def __str__(self) -> str:
-        return f"{self.name} ({self.version.strip()})"
+        return f"{self.name} ({self.runtime} {self.driver})"
 
 
 _opened: dict[tuple[int, bool], Device] = {}

@@ -66,16 +66,18 @@ def _load_stl(data: bytes) -> dict:
     """What trimesh reads; its log, which prints tracebacks to the terminal, is silent meanwhile."""
     from trimesh.exchange.stl import load_stl
 
-    log = logging.getLogger("trimesh")
-    before, log.disabled = log.disabled, True
+    log, silence = logging.getLogger("trimesh"), logging.NullHandler()
+    before, log.propagate = log.propagate, False
+    log.addHandler(silence)
     try:
         return load_stl(io.BytesIO(data))
     finally:
-        log.disabled = before
+        log.removeHandler(silence)
+        log.propagate = before
 
 
 def _prepare_stl(data: bytes, warnings: list[str]) -> tuple[bytes, int]:
-    """The bytes that trimesh takes for what they are (binary of exact length, or plain text), and their vertex count."""
+    """The bytes that trimesh takes for what they are: binary of exact length, or plain text; and their vertex count."""
     facet_count = int.from_bytes(data[80:84], "little") if len(data) >= _STL_HEADER_BYTES else -1
     length = _STL_HEADER_BYTES + _STL_FACET_BYTES * facet_count
     if facet_count >= 0 and length == len(data):
