@@ -40,6 +40,20 @@ INLINE void emit_reference(TileSink sink, uint tile, uint prim_id, uint bound) {
   if (slot < sink.capacity) sink.references[slot] = (uint2)(prim_id, bound);
 }
 
+// Counts or stores VECTOR_WIDTH references to one tile, of triangles that follow each other.
+INLINE void emit_run(TileSink sink, uint tile, uint first_prim_id, int_v bounds) {
+  const uint position = sink.cursors[tile];
+  sink.cursors[tile] = position + VECTOR_WIDTH;
+  if (sink.references == 0) return;
+  const uint slot = sink.tile_begin[tile] + position;
+  if (slot + VECTOR_WIDTH > sink.capacity) return;
+  int bound[VECTOR_WIDTH];
+  STORE_V(bounds, bound);
+#pragma unroll
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane)
+    sink.references[slot + lane] = (uint2)(first_prim_id + lane, bound[lane]);
+}
+
 // One (tile, triangle) pair; column and row are the tile's, in the whole image.
 INLINE void emit_tile(TileSink sink, View view, BoundedTriangle s, int column, int row) {
   const int left = column << TILE_LOG2, top = row << TILE_LOG2;
@@ -85,16 +99,11 @@ static void walk_wide(
     View view,
     BoundedTriangle s,
     int4 tiles,
-    global const float4 *restrict positions,
-    global const uint *restrict indices) {
-  uint index[3][VECTOR_WIDTH];
-  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane)
-    for (uint i = 0; i < 3; ++i) index[i][lane] = indices[3 * s.prim_id + i];
+    global const float4 *restrict corners) {
+  uint prim_id[VECTOR_WIDTH];
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) prim_id[lane] = s.prim_id;
   const TriangleSetup setup = setup_triangle(
-      gather_points(positions, index[0]),
-      gather_points(positions, index[1]),
-      gather_points(positions, index[2]),
-      view);
+      gather_corners(corners, prim_id, 0), gather_corners(corners, prim_id, 1), gather_corners(corners, prim_id, 2), view);
   const int4 groups = tiles >> GROUP_LOG2;
   const int group_columns = groups.z - groups.x + 1;
   const int group_count = group_columns * (groups.w - groups.y + 1);
@@ -117,8 +126,7 @@ INLINE void walk_triangle(
     TileSink sink,
     View view,
     BoundedTriangle s,
-    global const float4 *restrict positions,
-    global const uint *restrict indices) {
+    global const float4 *restrict corners) {
   const int4 tiles = (int4)(
       s.x0 >> TILE_LOG2,
       max(s.y0 >> TILE_LOG2, (int)view.band_row),
@@ -126,7 +134,7 @@ INLINE void walk_triangle(
       min((s.y1 - 1) >> TILE_LOG2, (int)(view.band_row + view.band_rows) - 1));
   if (tiles.y > tiles.w) return;
   if ((tiles.z - tiles.x + 1) * (tiles.w - tiles.y + 1) > WIDE_TILE_COUNT) {
-    walk_wide(sink, view, s, tiles, positions, indices);
+    walk_wide(sink, view, s, tiles, corners);
     return;
   }
   for (int row = tiles.y; row <= tiles.w; ++row)
@@ -142,8 +150,7 @@ INLINE void walk_chunk(
     uint end,
     global const uint *restrict bounds_low,
     global const uint *restrict bounds_high,
-    global const float4 *restrict positions,
-    global const uint *restrict indices) {
+    global const float4 *restrict corners) {
   for (uint k = begin; k < end; k += VECTOR_WIDTH) {
     const uint_v low = LOAD_V(bounds_low + k), high = LOAD_V(bounds_high + k);
     const int_v x0 = AS_INT_V(low & 0xffffu), y0 = AS_INT_V(low >> 16);
@@ -153,20 +160,31 @@ INLINE void walk_chunk(
                          (row >= (int)view.band_row) & (row < (int)(view.band_row + view.band_rows));
     const int_v tile = (row - (int)view.band_row) * (int)view.tile_columns + column;
     const int_v left = column << TILE_LOG2, top = row << TILE_LOG2;
+    const int_v kinds = single ? tile : (x1 == 0 ? (int_v)(SKIP) : (int_v)(WALK));
+    const int_v bounds = (x0 - left) | (y0 - top) << 8 | (x1 - left) << 16 | (y1 - top) << 24;
+    if (ALL_ALIKE(kinds)) {
+      const int first = FIRST_LANE(kinds);
+      if (first == SKIP) continue;
+      if (first >= 0) {
+        emit_run(sink, first, k, bounds);
+        continue;
+      }
+    }
     int kind[VECTOR_WIDTH];  // tile where there is just one, else WALK or SKIP
     int bound[VECTOR_WIDTH];
     uint lane_low[VECTOR_WIDTH], lane_high[VECTOR_WIDTH];
-    STORE_V(single ? tile : (x1 == 0 ? (int_v)(SKIP) : (int_v)(WALK)), kind);
-    STORE_V((x0 - left) | (y0 - top) << 8 | (x1 - left) << 16 | (y1 - top) << 24, bound);
+    STORE_V(kinds, kind);
+    STORE_V(bounds, bound);
     STORE_V(low, lane_low);
     STORE_V(high, lane_high);
-    for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
-      if (kind[lane] >= 0) {
+    for (ulong mask = LANE_MASK(kinds != SKIP); mask != 0; mask &= mask - 1) {
+      const uint lane = first_lane(mask);
+      if (kind[lane] != WALK) {
         emit_reference(sink, kind[lane], k + lane, bound[lane]);
-      } else if (kind[lane] == WALK) {
+      } else {
         const uint a = lane_low[lane], b = lane_high[lane];
         const BoundedTriangle s = {k + lane, a & 0xffff, a >> 16, b & 0xffff, b >> 16};
-        walk_triangle(sink, view, s, positions, indices);
+        walk_triangle(sink, view, s, corners);
       }
     }
   }
@@ -179,8 +197,7 @@ kernel void count_tile_triangles(
     uint triangle_count,
     uint chunk_size,                         // triangles a chunk
     uint tile_stride,                        // tiles of the band, rounded up to a multiple of 16
-    global const float4 *restrict positions, // [vertex_count] world space times world_scale
-    global const uint *restrict indices,     // [3 * triangle_count]
+    global const float4 *restrict corners,   // [3 * triangle_count] world space times world_scale
     global const uint *restrict bounds_low,  // [padded triangle_count] x0 | y0 << 16
     global const uint *restrict bounds_high, // [padded triangle_count] x1 | y1 << 16
     global uint *restrict cursors)           // [chunk_count * tile_stride] triangles of the chunk in the tile
@@ -190,7 +207,7 @@ kernel void count_tile_triangles(
   for (uint tile = 0; tile < tile_stride; tile += 16) vstore16((uint16)(0), 0, own + tile);
   const TileSink sink = {own, 0, 0, 0};
   const uint begin = chunk * chunk_size;
-  walk_chunk(sink, view, begin, min(begin + chunk_size, triangle_count), bounds_low, bounds_high, positions, indices);
+  walk_chunk(sink, view, begin, min(begin + chunk_size, triangle_count), bounds_low, bounds_high, corners);
 }
 
 // Reads: cursors (count_tile_triangles). Writes: cursors, as first positions within the tiles' lists;
@@ -237,8 +254,7 @@ kernel void scatter_tile_triangles(
     uint chunk_size,
     uint tile_stride,
     uint reference_capacity,                 // references that fit; the rest is counted, not written
-    global const float4 *restrict positions, // [vertex_count]
-    global const uint *restrict indices,     // [3 * triangle_count]
+    global const float4 *restrict corners,   // [3 * triangle_count]
     global const uint *restrict bounds_low,  // [padded triangle_count]
     global const uint *restrict bounds_high, // [padded triangle_count]
     global const uint *restrict tile_begin,  // [tile_stride + 1] where the tiles' lists start
@@ -248,5 +264,5 @@ kernel void scatter_tile_triangles(
   const uint chunk = get_global_id(0);
   const TileSink sink = {cursors + (size_t)chunk * tile_stride, tile_begin, references, reference_capacity};
   const uint begin = chunk * chunk_size;
-  walk_chunk(sink, view, begin, min(begin + chunk_size, triangle_count), bounds_low, bounds_high, positions, indices);
+  walk_chunk(sink, view, begin, min(begin + chunk_size, triangle_count), bounds_low, bounds_high, corners);
 }

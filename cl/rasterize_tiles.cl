@@ -166,6 +166,14 @@ INLINE void store_tile(View view, int left, int top, const uint_v *visible, glob
   }
 }
 
+// A tile that no triangle may cover: rows of NO_HIT.
+INLINE void clear_tile(View view, int left, int top, global uint *restrict visible_prims) {
+  const uint end_x = min((uint)left + TILE_SIZE, view.width), end_y = min((uint)top + TILE_SIZE, view.height);
+  for (uint y = top; y < end_y; ++y)
+    for (uint x = left; x < end_x; ++x)
+      visible_prims[(size_t)(y - (view.band_row << TILE_LOG2)) * view.width + x] = NO_HIT;
+}
+
 #if KEEP_NEARNESS
 // Reads one 32-bit value per sample of a block; `nothing` outside the image.
 static inline uint_v load_block(View view, int left, int top, uint block, global const uint *from, uint nothing) {
@@ -193,7 +201,7 @@ static inline void store_nearness(View view, int left, int top, const float_v *n
 }
 #endif
 
-// Reads: references, tile_begin (bin_triangles.cl), positions, indices (host).
+// Reads: references, tile_begin (bin_triangles.cl), corners (host).
 // Writes: visible_prims (for shade_hits). Work item: one tile. Local memory: 0 bytes.
 kernel void rasterize_tiles(
     View view,
@@ -209,6 +217,7 @@ kernel void rasterize_tiles(
     global float *restrict nearness,             // [band height * width]
 #endif
 #if ALPHA_MASK
+    global const uint *restrict indices,         // [3 * triangle_count] vertices of the attributes
     global const uint *restrict material_ids,    // [triangle_count]
     global const Material *restrict materials,   // [material_count]
     global const Texture *restrict textures,     // [texture_count]
@@ -218,8 +227,7 @@ kernel void rasterize_tiles(
     global const float2 *restrict uv1,           // [vertex_count]
     global const float4 *restrict colors,        // [vertex_count] linear
 #endif
-    global const float4 *restrict positions,  // [vertex_count] world space times world_scale
-    global const uint *restrict indices,      // [3 * triangle_count]
+    global const float4 *restrict corners,    // [3 * triangle_count] world space times world_scale
     global const uint *restrict tile_begin,   // [tile_count + 1] first reference of each tile
     global const uint2 *restrict references,  // [reference_capacity] prim_id, bound within the tile
     global uint *restrict visible_prims)      // [band height * width] prim_id or NO_HIT
@@ -228,6 +236,12 @@ kernel void rasterize_tiles(
   if (tile >= tile_count) return;
   const uint column = tile % view.tile_columns, row = tile / view.tile_columns;
   const int left = column << TILE_LOG2, top = (row + view.band_row) << TILE_LOG2;
+#if !KEEP_NEARNESS
+  if (tile_begin[tile] == tile_begin[tile + 1]) {
+    clear_tile(view, left, top, visible_prims);
+    return;
+  }
+#endif
   TileFrame frame;
   frame.column = BLOCK_COLUMN_LANES;
   frame.row = BLOCK_ROW_LANES;
@@ -270,7 +284,7 @@ kernel void rasterize_tiles(
   for (uint k = begin; k < end; k += VECTOR_WIDTH) {
     if (k != begin && (k - begin) % REFRESH_PERIOD == 0) tile_lowest = refresh_lowest(&samples);
     Batch batch;
-    load_batch(&batch, view, &frame, tile_lowest, k, end, positions, indices, references);
+    load_batch(&batch, view, &frame, tile_lowest, k, end, corners, references);
     for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
       if (batch.work[lane] == WORK_SMALL)
         rasterize_small(&batch, lane, &frame, &samples);

@@ -132,24 +132,25 @@ INLINE void bound_crossing_lanes(
   }
 }
 
-// Reads: positions, indices (host). Writes: bounds (for bin_triangles.cl).
+// Reads: corners (host). Writes: bounds (for bin_triangles.cl).
 // Work item: one chunk of triangles. Local memory: 0 bytes.
 kernel void setup_triangles(
     View view,                                // camera and image
     uint triangle_count,
     uint chunk_size,                          // triangles a chunk, a multiple of VECTOR_WIDTH
-    global const float4 *restrict positions,  // [vertex_count] world space times world_scale
-    global const uint *restrict indices,      // [3 * triangle_count] vertex indices
+    global const float4 *restrict corners,    // [3 * triangle_count] world space times world_scale
     global uint *restrict bounds_low,         // [padded triangle_count] x0 | y0 << 16, first column and row
     global uint *restrict bounds_high)        // [padded triangle_count] x1 | y1 << 16, one past the last
 {
   const uint begin = get_global_id(0) * chunk_size;
   const uint end = min(begin + chunk_size, triangle_count);
   for (uint k = begin; k < end; k += VECTOR_WIDTH) {
-    const TriangleIndices corners = load_indices(indices, k, triangle_count);
-    const Vec3 p0 = gather_points(positions, corners.corner[0]);
-    const Vec3 p1 = gather_points(positions, corners.corner[1]);
-    const Vec3 p2 = gather_points(positions, corners.corner[2]);
+    uint prim_id[VECTOR_WIDTH];  // lanes past the last triangle repeat it
+#pragma unroll
+    for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) prim_id[lane] = min(k + lane, triangle_count - 1);
+    const Vec3 p0 = gather_corners(corners, prim_id, 0);
+    const Vec3 p1 = gather_corners(corners, prim_id, 1);
+    const Vec3 p2 = gather_corners(corners, prim_id, 2);
     const ScreenPoint a = project_point(p0, view);
     const ScreenPoint b = project_point(p1, view);
     const ScreenPoint c = project_point(p2, view);

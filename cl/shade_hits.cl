@@ -109,13 +109,14 @@ static inline float ray_parameter(View view, float4 p0, float4 p1, float4 p2, fl
 // Evaluates the visible triangle at the pixel (column, row) of the image.
 static inline Hit find_hit(
     View view, uint prim_id, uint column, uint row, float4 direction,
-    global const float4 *positions, global const uint *indices, global const float4 *normals) {
+    global const float4 *corners, global const uint *indices, global const float4 *normals) {
   Hit hit;
   hit.at.prim_id = prim_id;
   hit.at.i0 = indices[3 * prim_id];
   hit.at.i1 = indices[3 * prim_id + 1];
   hit.at.i2 = indices[3 * prim_id + 2];
-  const float4 p0 = positions[hit.at.i0], p1 = positions[hit.at.i1], p2 = positions[hit.at.i2];
+  const float4 p0 = corners[3 * (size_t)prim_id], p1 = corners[3 * (size_t)prim_id + 1];
+  const float4 p2 = corners[3 * (size_t)prim_id + 2];
   const Vec3 a = {p0.x, p0.y, p0.z}, b = {p1.x, p1.y, p1.z}, c = {p2.x, p2.y, p2.z};
   const TriangleSetup setup = setup_triangle(a, b, c, view);
   const float x = (float)column + (0.5f - view.center_x), y = (float)row + (0.5f - view.center_y);
@@ -188,8 +189,8 @@ kernel void shade_hits(
     uint pixel_count,                              // of the band
     uint light_count,
     uint layer,                                    // 0, then 1.. for what lies behind BLEND surfaces
-    global const float4 *restrict positions,       // [vertex_count] world space times world_scale
-    global const uint *restrict indices,           // [3 * triangle_count]
+    global const float4 *restrict corners,         // [3 * triangle_count] world space times world_scale
+    global const uint *restrict indices,           // [3 * triangle_count] vertices of the attributes
     global const float4 *restrict normals,         // [vertex_count] unit or 0
     global const float2 *restrict uv,              // [vertex_count]
     global const float2 *restrict uv1,             // [vertex_count]
@@ -250,7 +251,7 @@ kernel void shade_hits(
   }
 
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
-  const Hit hit = find_hit(view, prim_id, column, row, direction, positions, indices, normals);
+  const Hit hit = find_hit(view, prim_id, column, row, direction, corners, indices, normals);
   const uint material_id = material_ids[prim_id];
   if (layer == 0) {
     if (planes.depth != PLANE_NONE) out[planes.depth * stride] = hit.t;

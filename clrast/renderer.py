@@ -98,7 +98,7 @@ class RenderJob:
         self.geometry = self._upload_geometry()
         self.surfaces = SurfaceBuffers(device, scene, plan, reads_uv="uv" in self.groups)
         self.times["upload"] = 1000 * (time.perf_counter() - started)
-        self.scene_bytes = 16 * scene.vertex_count + 12 * scene.triangle_count + self.surfaces.nbytes
+        self.scene_bytes = Geometry.nbytes(scene.triangle_count) + self.surfaces.nbytes
         self.bands = self._plan_bands()
         started = time.perf_counter()
         self.tiles = TileRasterizer(
@@ -119,14 +119,11 @@ class RenderJob:
 
     def _upload_geometry(self) -> Geometry:
         scene, scale = self.scene, np.float32(self.view["world_scale"])
-        positions = np.zeros((scene.vertex_count, 4), dtype=np.float32)
-        positions[:, :3] = scene.positions
+        corners = np.zeros((scene.triangle_count, 3, 4), dtype=np.float32)
+        corners[:, :, :3] = scene.positions[scene.triangles]
         if scale != 1:
-            positions *= scale
-        indices = np.ascontiguousarray(scene.triangles, dtype=np.uint32)
-        return Geometry(
-            buffers.upload(self.device, positions), buffers.upload(self.device, indices), scene.triangle_count
-        )
+            corners *= scale
+        return Geometry(buffers.upload(self.device, corners), scene.triangle_count)
 
     def _plan_bands(self) -> BandPlan:
         per_pixel = 4 + Shader.bytes_per_pixel(self.groups)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import struct
 from fractions import Fraction
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 from clrast.errors import SceneError
 from clrast.scene.gltf import load_gltf
+from clrast.scene.load import load
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "scenes"
 
@@ -20,6 +22,7 @@ SHARED = Path(__file__).resolve().parents[2] / "shared" / "scenes"
 TRUE_BOXES = {"gltf/SimpleSparseAccessor/SimpleSparseAccessor.gltf": ([0, 0, 0], [6, 4, 0])}
 TRUE_COUNTS = {"gltf/simple-instancing.glb": 125 * 12}
 BOXES_ELSEWHERE = {"gltf/simple-instancing.glb"}
+FAR_TILE = "nasty/huge_coordinates_ecef.glb"
 FANS = {"gltf/PrimitiveModes/Mesh_PrimitiveMode_05.gltf": (2, [-0.5, -0.5, 0], [0.5, 0.5, 0])}
 REFUSED = {
     "gltf/PrimitiveModes/Mesh_PrimitiveMode_00.gltf": "points are not drawn",
@@ -119,26 +122,48 @@ def test_instances_against_their_numbers_in_the_file():
     assert len(scene.object_names) == 125 and np.ptp(s) > 0 and np.ptp(q) > 0
 
 
-@needs_scenes
-def test_far_coordinates_are_rounded_once():
-    """Earth-centred tile: each world coordinate within half a float32 step of exact arithmetic."""
-    content = (SHARED / "nasty/huge_coordinates_ecef.glb").read_bytes()
+def far_vertices() -> list[list[Fraction]]:
+    """World positions of the earth-centred tile in exact arithmetic."""
+    content = (SHARED / FAR_TILE).read_bytes()
     size = struct.unpack_from("<I", content, 12)[0]
     tree, blob = json.loads(content[20 : 20 + size]), content[28 + size :]
-    (node,) = [node for node in tree["nodes"] if "mesh" in node]
+    (node,) = tree["nodes"]
     accessor = tree["accessors"][tree["meshes"][node["mesh"]]["primitives"][0]["attributes"]["POSITION"]]
     view = tree["bufferViews"][accessor["bufferView"]]
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
     local = np.frombuffer(blob, "<f4", accessor["count"] * 3, start).reshape(-1, 3).tolist()
     m = [Fraction(value) for value in node["matrix"]]
-    scene = load_gltf(SHARED / "nasty/huge_coordinates_ecef.glb")
-    assert len(local) == scene.vertex_count and len(tree["nodes"]) == 1
-    for vertex, found in zip(local, scene.positions):
+    return [[sum(m[4 * j + k] * Fraction(v[j]) for j in range(3)) + m[12 + k] for k in range(3)] for v in local]
+
+
+def check_rounded_once(scene, exact):
+    """Each coordinate within half a float32 step, and what float64 loses on sums of terms below 1e7."""
+    assert len(exact) == scene.vertex_count > 50 and scene.positions.dtype == np.float32
+    for vertex, found in zip(exact, scene.positions):
         for k in range(3):
-            exact = sum(m[4 * j + k] * Fraction(vertex[j]) for j in range(3)) + m[12 + k]
-            # Half a float32 step, and a float64 rounding of four terms below 1e7 for the sum before it.
             half_step = Fraction(float(np.spacing(abs(found[k])))) / 2
-            assert abs(Fraction(float(found[k])) - exact) <= half_step + Fraction(1, 10**8)
+            assert abs(Fraction(float(found[k])) - vertex[k]) <= half_step + Fraction(1, 10**8)
+
+
+@needs_scenes
+def test_far_coordinates_are_rounded_once():
+    check_rounded_once(load_gltf(SHARED / FAR_TILE), far_vertices())
+
+
+@needs_scenes
+def test_a_card_brings_far_coordinates_near_before_they_are_rounded(tmp_path):
+    """In the file's place float32 steps by 0.25 m and more; recentred, the tile keeps fractions of a millimetre."""
+    shutil.copy(SHARED / FAR_TILE, tmp_path / "tile.glb")
+    card = tmp_path / "card.toml"
+    card.write_text(
+        "[[mesh]]\nfile = 'tile.glb'\nscale = [0.5, 0.5, 2]\n"
+        "rotate = { axis = [0, 0, 1], degrees = 90 }\ntranslate = [1998300.125, -193215.0625, -9890010.5]\n"
+    )
+    move = [Fraction(1998300.125), Fraction(-193215.0625), Fraction(-9890010.5)]
+    exact = [[-y / 2 + move[0], x / 2 + move[1], 2 * z + move[2]] for x, y, z in far_vertices()]
+    scene = load(card)
+    assert abs(scene.positions).max() < 2000
+    check_rounded_once(scene, exact)
 
 
 @needs_scenes

@@ -15,6 +15,7 @@ from gltf_writer import TRIANGLE, GltfWriter, png_bytes
 from clrast.errors import SceneError
 from clrast.scene.gltf import load_gltf
 from clrast.scene.gltf_materials import texture_transform
+from clrast.scene.load import load as load_scene
 from clrast.scene.model import Material, TextureUse
 from clrast.scene.texture import decode_image, load_image_file, resolve_below
 
@@ -136,6 +137,34 @@ def test_attributes_that_are_not_finite(tmp_path):
 
 
 # --- materials ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_positions_that_are_not_finite_are_refused_where_a_triangle_uses_them(tmp_path, value):
+    w = GltfWriter()
+    mesh = w.mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, value, 0]], [0, 1, 2])
+    near = load_scene(w.scene(w.node(mesh=mesh), w.node(mesh=mesh, scale=[0, 0, 0])).write(tmp_path))
+    assert np.isfinite(near.positions).all() and near.positions[:3].tolist() == TRIANGLE
+    w = GltfWriter()
+    mesh = w.mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, value, 0]], [0, 1, 2, 0, 3, 1])
+    for more in ({}, {"translation": [1, 2, 3]}, {"scale": [0, 0, 0]}):
+        w.tree.update(scenes=[], nodes=[])
+        path = w.scene(w.node(mesh=mesh, **more)).write(tmp_path)
+        with pytest.raises(SceneError, match="vertex 3 .*which triangle 1 uses, is not finite") as caught:
+            load_scene(path)
+        assert caught.value.exit_code == 65
+
+
+def test_positions_beyond_float32_are_refused(tmp_path):
+    """float64 holds them until a card or a node brings them back; as a result they are no scene."""
+    w = GltfWriter()
+    mesh = w.mesh([[0, 0, 0], [1, 0, 0], [0, 3e38, 0]])
+    inner = w.node(mesh=mesh, scale=[2, 2, 2])
+    path = w.scene(w.node(children=[inner], scale=[0.5, 0.5, 0.5])).write(tmp_path)
+    assert load_scene(path).positions[2].tolist() == [0, np.float32(3e38), 0]
+    w.tree["scenes"] = [{"nodes": [inner]}]
+    with pytest.raises(SceneError, match="vertex 2 at 0, 6e.38, 0 is beyond float32"):
+        load_scene(w.write(tmp_path))
 
 
 def test_defaults(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -160,6 +162,21 @@ def test_a_count_out_of_range_is_refused(fill: kernels.Program, value: int) -> N
     given = dict(shift=0, gain=1.0, view=np.zeros((), layout.VIEW), input=None, scratch=128, out=None)
     with pytest.raises((OverflowError, TypeError)):
         fill.launch("fill", 32, 32, count=value, **given)
+
+
+@pytest.mark.small
+def test_drivers_keep_off_stderr(device: Device, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Errors are one line on stderr, and they are ours; the guard makes Mesa's compiler talk."""
+    text = FILL.replace("fill", f"fill_{time.time_ns()}")  # in no cache
+    name = re.search(r"fill_\w+", text)[0]
+    program = kernels.build(device, "a.cl", folder=write(tmp_path, a_cl=text))
+    given = dict(shift=0, gain=1.0, view=np.zeros((), layout.VIEW), scratch=128, count=0)
+    given |= dict(input=buffers.create(device, 128), out=buffers.create(device, 128))
+    program.launch(name, 32, 32, **given).wait()
+    write(tmp_path, b_cl="kernel void broken(global int *out) { out[0] = nowhere; }\n")
+    with pytest.raises(DeviceError):
+        kernels.build(device, "b.cl", folder=tmp_path)
+    assert capfd.readouterr().err == ""
 
 
 def test_an_unknown_kernel_is_named(fill: kernels.Program) -> None:

@@ -170,7 +170,7 @@ def test_kernel_files_keep_the_house_rules(path: Path) -> None:
     assert not defined & set(layout.CONSTANTS), "shared constants live in layout.py"
     assert not defined & {f.name.upper() for f in fields(Features)}, "features live in features.py"
     assert not set(re.findall(r"\}\s*(\w+)\s*;", code)) & set(layout.STRUCTS), "shared structs live in layout.py"
-    assert len(path.read_text("utf-8").splitlines()) <= 300
+    assert len(path.read_text("utf-8").splitlines()) <= 400
 
 
 # --- imports ---------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 import tomllib
 import venv
 import zipfile
@@ -88,3 +89,21 @@ def test_a_wheel_carries_kernels_and_data_and_runs_elsewhere(tmp_path: Path) -> 
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == str(site / "clrast" / "cl")
+
+
+def test_a_ready_environment_starts_at_once_and_from_any_folder(tmp_path: Path) -> None:
+    """`tools/run` against the interpreter that it starts, both at their best of three: under a second between."""
+    if not (ROOT / ".venv" / "clrast-ready").exists():
+        pytest.skip("tools/run has not set up .venv beside this checkout")
+    direct = [str(ROOT / ".venv" / "bin" / "python"), "-P", "-m", "clrast", "--help"]
+    through = [str(ROOT / "tools" / "run"), "--help"]
+    seconds = {}
+    for name, command in (("direct", direct), ("through", through)):
+        times = []
+        for _ in range(3):
+            start = time.perf_counter()
+            done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+            times.append(time.perf_counter() - start)
+            assert "Usage" in done.stdout
+        seconds[name] = min(times)
+    assert seconds["through"] - seconds["direct"] < 1.0

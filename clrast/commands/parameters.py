@@ -10,6 +10,8 @@ from typing import Annotated
 
 import typer
 
+from clrast.options import EFFECTS as EFFECT_NAMES
+
 Texts = list[str] | None
 
 
@@ -79,7 +81,8 @@ Effects = Annotated[
     Texts,
     _option(
         "--effects", metavar="NAME=STATE",
-        text="Force an effect: on, off or auto, as in alpha_mask=off; may be given again.", panel=EFFECTS,
+        text="Force an effect: on, off or auto, as in alpha_mask=off; may be given again. Effects: "
+        + ", ".join(name.replace(" ", "_") for name in EFFECT_NAMES) + ".", panel=EFFECTS,
     ),
 ]  # fmt: skip
 

@@ -15,5 +15,6 @@ def progress(quiet: bool) -> Iterator[Callable[[str], None]]:
         return
     from rich.console import Console
 
-    with Console(stderr=True).status("starting", spinner="dots") as status:
+    # soft_wrap: a warning that is said meanwhile stays one line, however narrow the terminal is
+    with Console(stderr=True, soft_wrap=True).status("starting", spinner="dots") as status:
         yield lambda text: status.update(text)

@@ -10,6 +10,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from clrast.opencl.runtimes import quiet_stderr
+
 BINARY_RUNTIMES = ("portable computing language", "intel")
 """Platforms whose program binaries load faster than they build and carry what a launch needs (measured
 on PoCL 3.1: 1 ms against 20 to 35 ms from PoCL's own cache of sources)."""
@@ -62,7 +64,8 @@ def _raw_build(program: Any, options: str) -> Any:
     import pyopencl as cl
 
     try:
-        program._build(options=options.encode(), devices=None)
+        with quiet_stderr():
+            program._build(options=options.encode(), devices=None)
     except cl.Error as error:
         log = "\n".join(program.get_build_info(d, cl.program_build_info.LOG) for d in _devices(program))
         raise BuildError(f"{log}\n{error}") from error

@@ -65,8 +65,9 @@ class Device:
         return f"{self.name} ({self.runtime} {self.driver})"
 
 
-_opened: dict[tuple[int, bool], Device] = {}
+_opened: dict[tuple[int, bool, int], Device] = {}
 """Contexts outlive a single render: opening costs a self-test and loses the programs."""
+
 
 def _load_pyopencl(threads: int | None) -> Any:
     runtimes.prepare_environment(threads)
@@ -195,6 +196,7 @@ def open_device(selector: str | None = None, threads: int | None = None, *, prof
     for candidate in _candidates(cl, selector):
         result = self_test(candidate.handle, candidate.index)
         if result.ok:
+            _check_threads(candidate.runtime, threads)
             runtimes.limit_threads(threads)
             return _open(candidate, profiling)
         failures.append(f"{candidate.index} {candidate.name}: {result.reason}")
@@ -207,11 +209,23 @@ def open_device(selector: str | None = None, threads: int | None = None, *, prof
     raise DeviceError(f"no OpenCL device matches '{selector}': there are {names}")
 
 
+_first_threads: dict[str, int | None] = {}
+"""Our name of a runtime -> `threads` at its first use in this process."""
+
+
+def _check_threads(runtime: str, threads: int | None) -> None:
+    first = _first_threads.setdefault(runtime, threads)
+    if runtime == "intel" and threads not in (None, first):  # see runtimes.KNOWN_FAULTS
+        had = "all processors" if first is None else f"{first} threads"
+        raise DeviceError(f"Intel's runtime was started on {had} in this process: ask for {threads} in a new one")
+
+
 def _open(listed: ListedDevice, profiling: bool) -> Device:
     import pyopencl as cl
 
     handle = listed.handle
-    key = (handle.int_ptr, profiling)
+    width = vector_width(listed)  # the environment may change between two renders of a process
+    key = (handle.int_ptr, profiling, width)
     if key in _opened:
         return _opened[key]
     context = cl.Context([handle])
@@ -234,7 +248,7 @@ def _open(listed: ListedDevice, profiling: bool) -> Device:
         has_fp64="cl_khr_fp64" in handle.extensions.split(),
         is_cpu=listed.kind == "cpu",
         correctly_rounded=bool(config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT),
-        vector_width=vector_width(listed),
+        vector_width=width,
     )
     _opened[key] = device
     return device

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from clrast.opencl import layout
 from clrast.opencl.binaries import BuildError, build_options, build_source
 from clrast.opencl.c_layout import constants_source, structs_source
 from clrast.opencl.features import Features, Precision, Projection
+from clrast.opencl.runtimes import quiet_stderr
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -56,8 +57,9 @@ _INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]+"([^"\n]+)"[ \t]*(?://.*)?$')
 def source_text(name: str, folder: Path | None = None) -> str:
     """The whole text of a program: shared constants and structs, then the file with its includes put in.
 
-    Contraction is off in all of it, so that no file can forget to say so. Includes are resolved here and not by -I: paths may hold spaces, and the caches of binaries look at
-    the text alone. Each header is put in once, at its first mention.
+    Contraction is off in all of it, so that no file can forget to say so. Includes are resolved here and
+    not by -I: paths may hold spaces, and the caches of binaries look at the text alone. Each header is put
+    in once, at its first mention.
     """
     folder = folder or kernel_folder()
     lines: list[str] = []
@@ -103,7 +105,8 @@ class Argument:
 class _Kernel:
     handle: Any
     arguments: list[Argument]
-    names: frozenset[str] = field(default_factory=frozenset)
+    names: frozenset[str]
+    compiles_at_launch: bool  # not launched yet, by a runtime that compiles then, and talks meanwhile
 
 
 class Program:
@@ -146,6 +149,12 @@ class Program:
                 handle.set_arg(i, value)
         sizes = (global_size,) if isinstance(global_size, int) else tuple(global_size)
         locals_ = (local_size,) if isinstance(local_size, int) else local_size
+        if entry.compiles_at_launch:
+            entry.compiles_at_launch = False
+            with quiet_stderr():
+                event = cl.enqueue_nd_range_kernel(self.device.queue, handle, sizes, locals_)
+                event.wait()
+            return event
         return cl.enqueue_nd_range_kernel(self.device.queue, handle, sizes, locals_)
 
     def arguments(self, kernel: str) -> list[Argument]:
@@ -171,7 +180,7 @@ class Program:
             arguments = arguments_from_source(self.source, kernel)
         if len(arguments) != handle.num_args or not all(a.name for a in arguments):
             arguments = arguments_from_source(self.source, kernel)
-        entry = _Kernel(handle, arguments, frozenset(a.name for a in arguments))
+        entry = _Kernel(handle, arguments, frozenset(a.name for a in arguments), self.device.runtime == "rusticl")
         self._kernels[kernel] = entry
         return entry
 

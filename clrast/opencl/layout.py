@@ -14,7 +14,7 @@ NO_HIT = 0xFFFFFFFF
 MAX_IMAGE_SIDE = 65535
 """Pixels; screen bounds are kept in 16 bits a side."""
 
-WIDE_TILE_COUNT = 6
+WIDE_TILE_COUNT = 12
 """A bound over more tiles than this makes a triangle wide."""
 
 LARGE_BLOCK_COUNT = 8

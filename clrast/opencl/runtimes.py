@@ -45,6 +45,7 @@ class KnownFault:
 KNOWN_FAULTS = (
     KnownFault("pocl", "PoCL 3.0", "the wheel's LLVM 14 does not know newer processors: unknown target CPU 'generic'"),
     KnownFault("pocl", "PoCL 3.1", "sub-devices do not limit the number of busy threads"),
+    KnownFault("intel", "", "keeps the number of threads that it had at its first use in a process"),
     KnownFault("rusticl", " 22.3", "no float64; flushes subnormal operands and results of fma"),
     KnownFault("clover", "", "shows no device for a processor"),
     KnownFault("oclgrind", "", "an interpreter, for small scenes; its own launcher crashes pyopencl's wheel"),
@@ -93,6 +94,28 @@ def watch_threads() -> Iterator[None]:
     before = set(_thread_ids())
     yield
     _helper_threads.extend(sorted(set(_thread_ids()) - before))
+
+
+@contextmanager
+def quiet_stderr() -> Iterator[None]:
+    """Drop what drivers write to stderr inside the block; our own errors say it better.
+
+    clang's count of errors, and Mesa 22.3 at the first launch of a kernel: 'Treating load_kernel_arg in
+    control flow as uniform', which arguments of kernels always are.
+    """
+    try:
+        kept = os.dup(2)
+    except OSError:  # stderr is closed
+        yield
+        return
+    sink = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(sink, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(sink)
 
 
 def _thread_ids() -> list[int]:

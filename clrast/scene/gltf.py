@@ -7,7 +7,8 @@ mend from outside. So this package reads glTF 2.0 itself, with numpy.
 
 Order of triangles: the default scene, depth first, nodes, then primitives, then triangles as
 listed; a mirrored instance keeps its vertex order. World matrices are float64, written out in
-+ - * /; positions and normals are rounded to float32 once, at the end.
++ - * /. `read_gltf` leaves positions in float64, for who places them further (a card) before their
+one rounding to float32; normals are rounded at the end.
 """
 
 from __future__ import annotations
@@ -103,15 +104,23 @@ class Placements:
 
 
 def load_gltf(path: Path) -> Scene:
-    """Read a .gltf or .glb file, whichever its content is.
+    """As `read_gltf`, with positions rounded to float32; those beyond its range become infinite."""
+    scene = read_gltf(path)
+    with np.errstate(over="ignore"):
+        return replace(scene, positions=scene.positions.astype(np.float32))
+
+
+def read_gltf(path: Path) -> Scene:
+    """Read a .gltf or .glb file, whichever its content is; positions are (vertex_count, 3) float64, world space.
 
     Raises SceneError, in one line, for whatever is wrong with the file; what it asks for and this
-    program does not do is in `Scene.warnings`.
+    program does not do is in `Scene.warnings`. Positions may be NaN or infinite: `load.check_scene`
+    refuses those that a triangle uses.
     """
     path = Path(path)
     try:
         with np.errstate(all="ignore"):
-            return _load(path)
+            return _read(path)
     except SceneError as error:
         raise SceneError(f"{shorten(path.name)}: {error}") from error
     except ClrastError:
@@ -123,7 +132,7 @@ def load_gltf(path: Path) -> Scene:
         raise SceneError(f"{shorten(path.name)}: is not understood ({what}): export it again") from error
 
 
-def _load(path: Path) -> Scene:
+def _read(path: Path) -> Scene:
     file = GltfFile(path)
     _check_extensions(file)
     placements = Placements(file)
@@ -199,14 +208,14 @@ def _warn_of_missing_uv(file: GltfFile, parts: list[Placement], materials: tuple
 
 
 def _assemble(placements: Placements, default_material: int) -> Scene:
-    """A Scene of arrays alone: every placement's own copy of its vertices, in order."""
+    """A Scene of arrays alone: every placement's own copy of its vertices, in order; positions float64."""
     parts, vertex_count, triangle_count = placements.parts, placements.vertex_count, placements.triangle_count
 
     def column(name: str, width: int, fill: float) -> np.ndarray | None:
         present = any(getattr(part.primitive, name) is not None for part in parts)
         return np.full((vertex_count, width), fill, np.float32) if present else None
 
-    positions = np.zeros((vertex_count, 3), np.float32)
+    positions = np.zeros((vertex_count, 3), np.float64)
     triangles = np.zeros((triangle_count, 3), np.uint32)
     object_ids = np.zeros(triangle_count, np.uint32)
     material_ids = np.zeros(triangle_count, np.uint32)

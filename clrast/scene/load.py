@@ -96,9 +96,9 @@ def _reader(file: Path, shown: str) -> Callable[[Path], Scene]:
 
         return read_obj
     if suffix in (".glb", ".gltf"):
-        from clrast.scene.gltf import load_gltf
+        from clrast.scene.gltf import read_gltf
 
-        return load_gltf
+        return read_gltf
     if suffix == ".toml":
         from clrast.scene.card import read_card
 

@@ -29,11 +29,18 @@ TILE_PAD = 16
 
 @dataclass(frozen=True)
 class Geometry:
-    """Triangles on the device. positions : (vertex_count,) float4 at the view's world_scale; indices : 3 uint each."""
+    """Triangles on the device, each with its own three corners: kernels read them without an indirection.
 
-    positions: cl.Buffer
-    indices: cl.Buffer
+    corners : [3 * triangle_count] float4, world space times the view's world_scale.
+    """
+
+    corners: cl.Buffer
     triangle_count: int
+
+    @staticmethod
+    def nbytes(triangle_count: int) -> int:
+        """Device bytes of that many triangles."""
+        return 48 * triangle_count
 
 
 def _round_up(value: int, step: int) -> int:
@@ -102,8 +109,7 @@ class TileRasterizer:
             view=self.view,
             triangle_count=self.geometry.triangle_count,
             chunk_size=self._chunk_size,
-            positions=self.geometry.positions,
-            indices=self.geometry.indices,
+            corners=self.geometry.corners,
             bounds_low=self._bounds_low,
             bounds_high=self._bounds_high,
         )
@@ -152,8 +158,7 @@ class TileRasterizer:
             "triangle_count": self.geometry.triangle_count,
             "chunk_size": self._chunk_size,
             "tile_stride": self._stride,
-            "positions": self.geometry.positions,
-            "indices": self.geometry.indices,
+            "corners": self.geometry.corners,
             "bounds_low": self._bounds_low,
             "bounds_high": self._bounds_high,
             "cursors": self._cursors,
@@ -198,8 +203,7 @@ class TileRasterizer:
             "view": self.view,
             "tile_count": tile_count,
             "reference_capacity": self.reference_capacity,
-            "positions": self.geometry.positions,
-            "indices": self.geometry.indices,
+            "corners": self.geometry.corners,
             "tile_begin": self._tile_begin,
             "references": self._references,
             "visible_prims": self.visible_prims,
