@@ -25,7 +25,8 @@
 typedef struct {
   global uint *cursors;           // [tile_stride] of this chunk: counters, or next positions in the tile's list
   global const uint *tile_begin;  // [tile_stride + 1] where the lists start
-  global uint2 *references;       // [capacity], or 0 while counting
+  global uint *reference_prims;   // [capacity], or 0 while counting
+  global uint *reference_bounds;  // [capacity], likewise
   uint capacity;
 } TileSink;
 
@@ -35,23 +36,22 @@ typedef struct { uint prim_id; int x0, y0, x1, y1; } BoundedTriangle;
 // Counts or stores one reference.
 INLINE void emit_reference(TileSink sink, uint tile, uint prim_id, uint bound) {
   const uint position = sink.cursors[tile]++;
-  if (sink.references == 0) return;
+  if (sink.reference_prims == 0) return;
   const uint slot = sink.tile_begin[tile] + position;
-  if (slot < sink.capacity) sink.references[slot] = (uint2)(prim_id, bound);
+  if (slot >= sink.capacity) return;
+  sink.reference_prims[slot] = prim_id;
+  sink.reference_bounds[slot] = bound;
 }
 
 // Counts or stores VECTOR_WIDTH references to one tile, of triangles that follow each other.
 INLINE void emit_run(TileSink sink, uint tile, uint first_prim_id, int_v bounds) {
   const uint position = sink.cursors[tile];
   sink.cursors[tile] = position + VECTOR_WIDTH;
-  if (sink.references == 0) return;
+  if (sink.reference_prims == 0) return;
   const uint slot = sink.tile_begin[tile] + position;
   if (slot + VECTOR_WIDTH > sink.capacity) return;
-  int bound[VECTOR_WIDTH];
-  STORE_V(bounds, bound);
-#pragma unroll
-  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane)
-    sink.references[slot + lane] = (uint2)(first_prim_id + lane, bound[lane]);
+  STORE_V(AS_UINT_V(LANES) + first_prim_id, sink.reference_prims + slot);
+  STORE_V(AS_UINT_V(bounds), sink.reference_bounds + slot);
 }
 
 // One (tile, triangle) pair; column and row are the tile's, in the whole image.
@@ -102,8 +102,7 @@ static void walk_wide(
     global const float4 *restrict corners) {
   uint prim_id[VECTOR_WIDTH];
   for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) prim_id[lane] = s.prim_id;
-  const TriangleSetup setup = setup_triangle(
-      gather_corners(corners, prim_id, 0), gather_corners(corners, prim_id, 1), gather_corners(corners, prim_id, 2), view);
+  const TriangleSetup setup = setup_triangles_at(gather_triangles(corners, prim_id), view);
   const int4 groups = tiles >> GROUP_LOG2;
   const int group_columns = groups.z - groups.x + 1;
   const int group_count = group_columns * (groups.w - groups.y + 1);
@@ -177,11 +176,10 @@ INLINE void walk_chunk(
     STORE_V(bounds, bound);
     STORE_V(low, lane_low);
     STORE_V(high, lane_high);
-    for (ulong mask = LANE_MASK(kinds != SKIP); mask != 0; mask &= mask - 1) {
-      const uint lane = first_lane(mask);
-      if (kind[lane] != WALK) {
+    for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
+      if (kind[lane] >= 0) {
         emit_reference(sink, kind[lane], k + lane, bound[lane]);
-      } else {
+      } else if (kind[lane] == WALK) {
         const uint a = lane_low[lane], b = lane_high[lane];
         const BoundedTriangle s = {k + lane, a & 0xffff, a >> 16, b & 0xffff, b >> 16};
         walk_triangle(sink, view, s, corners);
@@ -197,7 +195,7 @@ kernel void count_tile_triangles(
     uint triangle_count,
     uint chunk_size,                         // triangles a chunk
     uint tile_stride,                        // tiles of the band, rounded up to a multiple of 16
-    global const float4 *restrict corners,   // [3 * triangle_count] world space times world_scale
+    global const float4 *restrict corners,   // [3 * triangle_count]
     global const uint *restrict bounds_low,  // [padded triangle_count] x0 | y0 << 16
     global const uint *restrict bounds_high, // [padded triangle_count] x1 | y1 << 16
     global uint *restrict cursors)           // [chunk_count * tile_stride] triangles of the chunk in the tile
@@ -205,7 +203,7 @@ kernel void count_tile_triangles(
   const uint chunk = get_global_id(0);
   global uint *own = cursors + (size_t)chunk * tile_stride;
   for (uint tile = 0; tile < tile_stride; tile += 16) vstore16((uint16)(0), 0, own + tile);
-  const TileSink sink = {own, 0, 0, 0};
+  const TileSink sink = {own, 0, 0, 0, 0};
   const uint begin = chunk * chunk_size;
   walk_chunk(sink, view, begin, min(begin + chunk_size, triangle_count), bounds_low, bounds_high, corners);
 }
@@ -259,10 +257,12 @@ kernel void scatter_tile_triangles(
     global const uint *restrict bounds_high, // [padded triangle_count]
     global const uint *restrict tile_begin,  // [tile_stride + 1] where the tiles' lists start
     global uint *restrict cursors,           // [chunk_count * tile_stride] next position of the chunk in the list
-    global uint2 *restrict references)       // [reference_capacity] prim_id; x0 | y0 << 8 | x1 << 16 | y1 << 24
+    global uint *restrict reference_prims,   // [reference_capacity] prim_id
+    global uint *restrict reference_bounds)  // [reference_capacity] in the tile: x0 | y0 << 8 | x1 << 16 | y1 << 24
 {
   const uint chunk = get_global_id(0);
-  const TileSink sink = {cursors + (size_t)chunk * tile_stride, tile_begin, references, reference_capacity};
+  const TileSink sink = {cursors + (size_t)chunk * tile_stride, tile_begin, reference_prims, reference_bounds,
+                         reference_capacity};
   const uint begin = chunk * chunk_size;
   walk_chunk(sink, view, begin, min(begin + chunk_size, triangle_count), bounds_low, bounds_high, corners);
 }

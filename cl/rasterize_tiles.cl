@@ -201,7 +201,7 @@ static inline void store_nearness(View view, int left, int top, const float_v *n
 }
 #endif
 
-// Reads: references, tile_begin (bin_triangles.cl), corners (host).
+// Reads: references, tile_begin (bin_triangles.cl), corners (prepare_triangles).
 // Writes: visible_prims (for shade_hits). Work item: one tile. Local memory: 0 bytes.
 kernel void rasterize_tiles(
     View view,
@@ -227,9 +227,10 @@ kernel void rasterize_tiles(
     global const float2 *restrict uv1,           // [vertex_count]
     global const float4 *restrict colors,        // [vertex_count] linear
 #endif
-    global const float4 *restrict corners,    // [3 * triangle_count] world space times world_scale
+    global const float4 *restrict corners,    // [3 * triangle_count] canonical corners and normals
     global const uint *restrict tile_begin,   // [tile_count + 1] first reference of each tile
-    global const uint2 *restrict references,  // [reference_capacity] prim_id, bound within the tile
+    global const uint *restrict reference_prims,  // [reference_capacity] prim_id
+    global const uint *restrict reference_bounds, // [padded reference_capacity] bound within the tile
     global uint *restrict visible_prims)      // [band height * width] prim_id or NO_HIT
 {
   const uint tile = get_global_id(0);
@@ -284,7 +285,7 @@ kernel void rasterize_tiles(
   for (uint k = begin; k < end; k += VECTOR_WIDTH) {
     if (k != begin && (k - begin) % REFRESH_PERIOD == 0) tile_lowest = refresh_lowest(&samples);
     Batch batch;
-    load_batch(&batch, view, &frame, tile_lowest, k, end, corners, references);
+    load_batch(&batch, view, &frame, tile_lowest, k, end, corners, reference_prims, reference_bounds);
     for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
       if (batch.work[lane] == WORK_SMALL)
         rasterize_small(&batch, lane, &frame, &samples);

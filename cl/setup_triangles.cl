@@ -132,13 +132,13 @@ INLINE void bound_crossing_lanes(
   }
 }
 
-// Reads: corners (host). Writes: bounds (for bin_triangles.cl).
+// Reads: corners (prepare_triangles). Writes: bounds (for bin_triangles.cl).
 // Work item: one chunk of triangles. Local memory: 0 bytes.
 kernel void setup_triangles(
     View view,                                // camera and image
     uint triangle_count,
     uint chunk_size,                          // triangles a chunk, a multiple of VECTOR_WIDTH
-    global const float4 *restrict corners,    // [3 * triangle_count] world space times world_scale
+    global const float4 *restrict corners,    // [3 * triangle_count]
     global uint *restrict bounds_low,         // [padded triangle_count] x0 | y0 << 16, first column and row
     global uint *restrict bounds_high)        // [padded triangle_count] x1 | y1 << 16, one past the last
 {
@@ -148,12 +148,10 @@ kernel void setup_triangles(
     uint prim_id[VECTOR_WIDTH];  // lanes past the last triangle repeat it
 #pragma unroll
     for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) prim_id[lane] = min(k + lane, triangle_count - 1);
-    const Vec3 p0 = gather_corners(corners, prim_id, 0);
-    const Vec3 p1 = gather_corners(corners, prim_id, 1);
-    const Vec3 p2 = gather_corners(corners, prim_id, 2);
-    const ScreenPoint a = project_point(p0, view);
-    const ScreenPoint b = project_point(p1, view);
-    const ScreenPoint c = project_point(p2, view);
+    const Triangles triangles = gather_triangles(corners, prim_id);
+    const ScreenPoint a = project_point(triangles.p0, view);
+    const ScreenPoint b = project_point(triangles.p1, view);
+    const ScreenPoint c = project_point(triangles.p2, view);
 
     // In front of the eye: the box of three points, widened.
     const float_v x_low = min(a.x, min(b.x, c.x)), x_high = max(a.x, max(b.x, c.x));
@@ -179,7 +177,7 @@ kernel void setup_triangles(
       STORE_V(crossing, lane_crossing);
       STORE_V(low, lane_low);
       STORE_V(high, lane_high);
-      bound_crossing_lanes(lane_crossing, setup_triangle(p0, p1, p2, view), view, lane_low, lane_high);
+      bound_crossing_lanes(lane_crossing, setup_triangles_at(triangles, view), view, lane_low, lane_high);
       STORE_V(LOAD_V(lane_low), bounds_low + k);
       STORE_V(LOAD_V(lane_high), bounds_high + k);
     }

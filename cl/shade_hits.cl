@@ -3,7 +3,7 @@
 // Durand, 'A Unifying Paradigm', section 7 (deferred shading: a sample is shaded after visibility is
 // known, so never twice). The edge functions of the visible triangle are evaluated again at the
 // sample; their ratios are its barycentrics (Davidovic et al., section 3.2: lambda_i = V_i / sum V).
-//   hit = visible_prims[pixel];  setup_triangle(hit);  b_i = V_i / (V_0 + V_1 + V_2)
+//   hit = visible_prims[pixel];  setup of its canonical form;  b_i = V_i / (V_0 + V_1 + V_2)
 //   write what was asked for: depth, position, normals, uv, albedo, colour, ids
 // Light: the scene's punctual lights without shadows (KHR_lights_punctual), with glTF's
 // metallic-roughness model; where there are none a headlight, radiance = base colour x cosine.
@@ -109,20 +109,25 @@ static inline float ray_parameter(View view, float4 p0, float4 p1, float4 p2, fl
 // Evaluates the visible triangle at the pixel (column, row) of the image.
 static inline Hit find_hit(
     View view, uint prim_id, uint column, uint row, float4 direction,
-    global const float4 *corners, global const uint *indices, global const float4 *normals) {
+    global const float4 *positions, global const uint *indices, global const float4 *normals) {
   Hit hit;
   hit.at.prim_id = prim_id;
   hit.at.i0 = indices[3 * prim_id];
   hit.at.i1 = indices[3 * prim_id + 1];
   hit.at.i2 = indices[3 * prim_id + 2];
-  const float4 p0 = corners[3 * (size_t)prim_id], p1 = corners[3 * (size_t)prim_id + 1];
-  const float4 p2 = corners[3 * (size_t)prim_id + 2];
+  const float4 p0 = positions[hit.at.i0], p1 = positions[hit.at.i1], p2 = positions[hit.at.i2];
   const Vec3 a = {p0.x, p0.y, p0.z}, b = {p1.x, p1.y, p1.z}, c = {p2.x, p2.y, p2.z};
-  const TriangleSetup setup = setup_triangle(a, b, c, view);
+  const TriangleSetup setup = setup_triangles_at(canonical_triangles(a, b, c), view);
   const float x = (float)column + (0.5f - view.center_x), y = (float)row + (0.5f - view.center_y);
   float v[3];
   for (uint i = 0; i < 3; ++i) v[i] = edge_value(setup.edge[i].c, setup.edge[i].gx, setup.edge[i].gy, x, y);
-  weigh_vertices(&hit.at, v[0], v[1], v[2]);
+  // Canonical order began with vertex 1 or 2: turn the weights back to the order of the file.
+  if (is_first(b, c, a))
+    weigh_vertices(&hit.at, v[2], v[0], v[1]);
+  else if (is_first(c, a, b))
+    weigh_vertices(&hit.at, v[1], v[2], v[0]);
+  else
+    weigh_vertices(&hit.at, v[0], v[1], v[2]);
   hit.t = ray_parameter(view, p0, p1, p2, (float)column + 0.5f, (float)row + 0.5f);
   hit.direction = direction;
   hit.position = ((p0 * hit.at.b0 + p1 * hit.at.b1) + p2 * hit.at.b2) / view.world_scale;
@@ -189,8 +194,8 @@ kernel void shade_hits(
     uint pixel_count,                              // of the band
     uint light_count,
     uint layer,                                    // 0, then 1.. for what lies behind BLEND surfaces
-    global const float4 *restrict corners,         // [3 * triangle_count] world space times world_scale
-    global const uint *restrict indices,           // [3 * triangle_count] vertices of the attributes
+    global const float4 *restrict positions,       // [vertex_count] world space times world_scale
+    global const uint *restrict indices,           // [3 * triangle_count]
     global const float4 *restrict normals,         // [vertex_count] unit or 0
     global const float2 *restrict uv,              // [vertex_count]
     global const float2 *restrict uv1,             // [vertex_count]
@@ -251,7 +256,7 @@ kernel void shade_hits(
   }
 
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
-  const Hit hit = find_hit(view, prim_id, column, row, direction, corners, indices, normals);
+  const Hit hit = find_hit(view, prim_id, column, row, direction, positions, indices, normals);
   const uint material_id = material_ids[prim_id];
   if (layer == 0) {
     if (planes.depth != PLANE_NONE) out[planes.depth * stride] = hit.t;

@@ -1,4 +1,4 @@
-"""Scenes, cameras of short binary numbers and renders for the tests of the kernels; nothing here decides what is right."""
+"""Scenes, cameras of short binary numbers and renders for the tests of kernels; nothing here says what is right."""
 
 from __future__ import annotations
 
@@ -80,7 +80,8 @@ def make_scene(positions: Any, triangles: Any = None, **fields: Any) -> Scene:
     corners = np.arange(len(vertices)) if triangles is None else np.asarray(triangles)
     corners = np.ascontiguousarray(corners.reshape(-1, 3), dtype=np.uint32)
     nothing = np.zeros(len(corners), dtype=np.uint32)
-    return Scene(**{"positions": vertices, "triangles": corners, "object_ids": nothing, "material_ids": nothing, **fields})
+    made = {"positions": vertices, "triangles": corners, "object_ids": nothing, "material_ids": nothing, **fields}
+    return Scene(**made)
 
 
 def with_material(scene: Scene, **fields: Any) -> Scene:
@@ -142,7 +143,12 @@ class Raster:
 
 
 def rasterize(
-    device: Device, scene: Scene, view: CameraVectors, tile_log2: int = 5, chunk_count: int | None = None, **options: Any
+    device: Device,
+    scene: Scene,
+    view: CameraVectors,
+    tile_log2: int = 5,
+    chunk_count: int | None = None,
+    **options: Any,
 ) -> Raster:
     """An id render, and the bounds and lists behind it."""
     with settings(tile_log2, chunk_count):

@@ -91,13 +91,18 @@ class ClrastPeer:
         job = RenderJob(device, scene, camera_vectors(camera, *size), options, plan)
         self.tiles, self.queue, self.rows = job.tiles, device.queue, int(job.view["tile_rows"])
         self.references = 0
+        self.frame()
 
     def frame(self) -> None:
-        self.tiles.setup()
-        self.references = self.tiles.count_references(0, self.rows)
-        self.tiles.scatter_references()
-        self.tiles.rasterize()
-        self.queue.finish()
+        """Setup, bin and visibility without a stop: the lists' size is known from the frame before."""
+        while True:
+            self.tiles.setup()
+            self.tiles.count_references(0, self.rows)
+            self.tiles.scatter_references()
+            self.tiles.rasterize()
+            if self.tiles.fits():
+                break
+        self.references = self.tiles.reference_count
 
     def stages(self) -> dict[str, float]:
         """Milliseconds of each stage round a finished queue."""

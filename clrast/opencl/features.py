@@ -39,6 +39,7 @@ class Features:
     precision: Precision = Precision.MIDPOINT
     projection: Projection = Projection.PERSPECTIVE
     keep_nearness: bool = False  # a tile's nearness goes to memory: split launches, layers behind BLEND surfaces
+    prefetch: bool = False  # the compiler's prefetch, on CPUs whose own OpenCL prefetch() does nothing
     counters: bool = False
     alpha_mask: bool = False
     alpha_blend: bool = False

@@ -17,7 +17,7 @@ MAX_IMAGE_SIDE = 65535
 WIDE_TILE_COUNT = 12
 """A bound over more tiles than this makes a triangle wide."""
 
-LARGE_BLOCK_COUNT = 8
+LARGE_BLOCK_COUNT = 24
 """A bound over more blocks of samples than this in one tile is tested block by block before samples are."""
 
 CROSSING_RATIO = 2.0**-10

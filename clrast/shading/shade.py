@@ -11,7 +11,7 @@ from clrast.opencl.device import Device
 from clrast.opencl.features import Features
 from clrast.opencl.layout import PLANE_NONE, PLANES
 from clrast.shading.surfaces import SurfaceBuffers
-from clrast.visibility.tiles import Geometry
+from clrast.visibility.geometry import Geometry
 
 GROUP_CHANNELS: dict[str, tuple[str, ...]] = {
     "color": ("R", "G", "B", "A"),
@@ -84,7 +84,8 @@ class Shader:
             pixel_count=pixel_count,
             light_count=self.light_count,
             layer=layer,
-            corners=self.geometry.corners,
+            positions=self.geometry.positions,
+            indices=self.geometry.indices,
             **self.surfaces.buffers,
             visible_prims=visible_prims,
             values=self.values,

@@ -125,7 +125,6 @@ class SurfaceBuffers:
             uv1 = uv
         normals = scene.normals if plan["normal interpolation"] else None
         arrays: dict[str, np.ndarray] = {
-            "indices": scene.triangles,
             "material_ids": scene.material_ids,
             "object_ids": scene.object_ids,
             "materials": pack_materials(scene.materials),
@@ -149,7 +148,7 @@ class SurfaceBuffers:
         return {name: self.buffers[name] for name in names}
 
 
-MASK_ARGUMENTS = ("indices", "material_ids", "materials", "textures", "texels", "srgb_to_linear", "uv", "uv1", "colors")
+MASK_ARGUMENTS = ("material_ids", "materials", "textures", "texels", "srgb_to_linear", "uv", "uv1", "colors")
 """What rasterize_tiles reads where the effect 'alpha mask' is on."""
 
 

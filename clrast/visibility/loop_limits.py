@@ -54,8 +54,11 @@ def reference_span_within(
     """
     columns, rows = {16: (4, 4), 8: (4, 2), 1: (1, 1)}[vector_width]
     x0, y0, x1, y1 = (bounds >> shift & 0xFF for shift in (0, 8, 16, 24))
-    blocks = ((x1 + columns - 1) // columns - x0 // columns) * ((y1 + rows - 1) // rows - y0 // rows)
-    cost = np.concatenate([[0], np.cumsum(16 + 2 * blocks.astype(np.int64))])
+    block_rows = ((y1 + rows - 1) // rows - y0 // rows).astype(np.int64)
+    blocks = ((x1 + columns - 1) // columns - x0 // columns) * block_rows
+    # A large triangle goes through whole rows of the tile's blocks, vector_width of them at a time.
+    tested = block_rows * max(1, tile_size // columns // vector_width)
+    cost = np.concatenate([[0], np.cumsum(16 + 2 * blocks + tested)])
     base = 6 * tile_size * tile_size
     longest = int(np.diff(tile_begin.astype(np.int64)).max(initial=0))
     span = max(vector_width, longest)

@@ -8,7 +8,6 @@ bits do not depend on the bands, on the chunks of triangles or on the tile size.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,30 +16,18 @@ from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
 from clrast.opencl.layout import CHUNK_COUNT
+from clrast.visibility.geometry import Geometry
 from clrast.visibility.loop_limits import chunk_size_within, loop_limit, reference_span_within
 
 if TYPE_CHECKING:
     import pyopencl as cl
 
 REFERENCE_BYTES = 8
+BOUND_BYTES = 8
+"""Device bytes of a triangle's screen bound."""
+
 TILE_PAD = 16
 """sum_tile_counts takes 16 tiles at a time."""
-
-
-@dataclass(frozen=True)
-class Geometry:
-    """Triangles on the device, each with its own three corners: kernels read them without an indirection.
-
-    corners : [3 * triangle_count] float4, world space times the view's world_scale.
-    """
-
-    corners: cl.Buffer
-    triangle_count: int
-
-    @staticmethod
-    def nbytes(triangle_count: int) -> int:
-        """Device bytes of that many triangles."""
-        return 48 * triangle_count
 
 
 def _round_up(value: int, step: int) -> int:
@@ -67,7 +54,7 @@ class TileRasterizer:
         self.features = features
         self.view = view.copy()
         self.geometry = geometry
-        self.surfaces = dict(surfaces) if features.alpha_mask else {}
+        self.surfaces = {**surfaces, "indices": geometry.indices} if features.alpha_mask else {}
         self.launches = 0
         self.reference_count = 0
         self.reference_capacity = 0
@@ -88,7 +75,8 @@ class TileRasterizer:
         self._tile_counts = buffers.create(device, 4 * self._band_stride)
         self._tile_begin = buffers.create(device, 4 * (self._band_stride + 1))
         self._cursors = buffers.create(device, 4 * self._band_stride * self._chunk_count)
-        self._references: cl.Buffer | None = None
+        self._reference_prims: cl.Buffer | None = None
+        self._reference_bounds: cl.Buffer | None = None
         self.visible_prims = buffers.create(device, 4 * pixel_count)
         self.nearness = buffers.create(device, 4 * pixel_count) if features.keep_nearness else None
 
@@ -129,8 +117,8 @@ class TileRasterizer:
         self._set_chunks(chunk_size_within(self._limit, spans, self.features.vector_width))
         self._cursors = buffers.create(self.device, 4 * self._band_stride * self._chunk_count)
 
-    def count_references(self, band_row: int, band_rows: int) -> int:
-        """Count the (tile, triangle) pairs of a band, which decide how much memory its lists take. Waits."""
+    def count_references(self, band_row: int, band_rows: int) -> None:
+        """Count the (tile, triangle) pairs of a band, which decide how much memory its lists take."""
         self.view["band_row"], self.view["band_rows"] = band_row, band_rows
         self._stride = _round_up(band_rows * int(self.view["tile_columns"]), TILE_PAD)
         program = "bin_triangles.cl"
@@ -148,7 +136,10 @@ class TileRasterizer:
         self._launch(
             program, "scan_tiles", 1, tile_stride=self._stride, tile_counts=self._tile_counts, tile_begin=begin
         )
-        last = buffers.download(self.device, begin, np.uint32, 1, offset=4 * self._stride)
+
+    def read_reference_count(self) -> int:
+        """The number of references that `count_references` found. Waits."""
+        last = buffers.download(self.device, self._tile_begin, np.uint32, 1, offset=4 * self._stride)
         self.reference_count = int(last[0])
         return self.reference_count
 
@@ -165,11 +156,14 @@ class TileRasterizer:
         }
 
     def scatter_references(self) -> None:
-        """Write the lists that `count_references` counted, into a buffer that grows where it must."""
-        if self.reference_count > self.reference_capacity or self._references is None:
-            self._references = None
-            self.reference_capacity = max(self.reference_count, 1024)
-            self._references = buffers.create(self.device, REFERENCE_BYTES * self.reference_capacity)
+        """Write the lists that `count_references` counted, as far as the buffers reach (see `fits`)."""
+        if self.reference_count > self.reference_capacity or self._reference_prims is None:
+            self._reference_prims = self._reference_bounds = None
+            self.reference_capacity = max(self.reference_count + self.reference_count // 8, 1024)
+            # Tiles read whole vectors: the last list may be read past its end.
+            padded_bytes = 4 * (self.reference_capacity + self.features.vector_width)
+            self._reference_prims = buffers.create(self.device, padded_bytes)
+            self._reference_bounds = buffers.create(self.device, padded_bytes)
         self._launch(
             "bin_triangles.cl",
             "scatter_tile_triangles",
@@ -177,19 +171,24 @@ class TileRasterizer:
             **self._bin_arguments(),
             reference_capacity=self.reference_capacity,
             tile_begin=self._tile_begin,
-            references=self._references,
+            reference_prims=self._reference_prims,
+            reference_bounds=self._reference_bounds,
         )
         if self._limit is not None:
             self._fit_references(int(self.view["band_rows"]) * int(self.view["tile_columns"]))
 
+    def fits(self) -> bool:
+        """Whether all references were written; where not, scatter again: the buffers then grow. Waits."""
+        return self.read_reference_count() <= self.reference_capacity
+
     def _fit_references(self, tile_count: int) -> None:
         """Cut the tiles' lists to what the driver's loops allow; reads the references back."""
         begin = buffers.download(self.device, self._tile_begin, np.uint32, tile_count + 1)
-        references = buffers.download(self.device, self._references, np.uint32, (self.reference_count, 2))
+        bounds = buffers.download(self.device, self._reference_bounds, np.uint32, self.reference_count)
         assert self._limit is not None
         self._longest_list = int(np.diff(begin.astype(np.int64)).max(initial=0))
         self._reference_span = reference_span_within(
-            self._limit, begin, references[:, 1], 1 << self.features.tile_log2, self.features.vector_width
+            self._limit, begin, bounds, 1 << self.features.tile_log2, self.features.vector_width
         )
 
     def rasterize(self, layer: int = 0, front: tuple[cl.Buffer, cl.Buffer] | None = None) -> None:
@@ -205,7 +204,8 @@ class TileRasterizer:
             "reference_capacity": self.reference_capacity,
             "corners": self.geometry.corners,
             "tile_begin": self._tile_begin,
-            "references": self._references,
+            "reference_prims": self._reference_prims,
+            "reference_bounds": self._reference_bounds,
             "visible_prims": self.visible_prims,
             **self.surfaces,
         }
@@ -247,5 +247,5 @@ class TileRasterizer:
         """prim_ids of each tile of the band, in their order. Waits."""
         tile_count = int(self.view["band_rows"]) * int(self.view["tile_columns"])
         begin = buffers.download(self.device, self._tile_begin, np.uint32, tile_count + 1)
-        references = buffers.download(self.device, self._references, np.uint32, (self.reference_count, 2))
-        return [references[a:b, 0] for a, b in zip(begin[:-1], begin[1:], strict=True)]
+        prims = buffers.download(self.device, self._reference_prims, np.uint32, self.reference_count)
+        return [prims[a:b] for a, b in zip(begin[:-1], begin[1:], strict=True)]

@@ -1,0 +1,65 @@
+"""Triangles on the device, laid out for rasterization: the part that all frames of a scene share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clrast.opencl import buffers, kernels
+from clrast.opencl.device import Device
+from clrast.opencl.features import Features
+
+if TYPE_CHECKING:
+    import pyopencl as cl
+
+WORK_GROUP = 64
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Triangles on the device, in the order of the file.
+
+    positions : [vertex_count] float4, world space times the view's world_scale, for shading
+    indices : [3 * triangle_count] uint, for shading
+    corners : [3 * triangle_count] float4, as prepare_triangles.cl writes them, for everything else
+    """
+
+    positions: cl.Buffer
+    indices: cl.Buffer
+    corners: cl.Buffer
+    triangle_count: int
+    vertex_count: int
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        return 16 * self.vertex_count + (12 + 48) * self.triangle_count
+
+
+def build_geometry(
+    device: Device, features: Features, positions: np.ndarray, triangles: np.ndarray, world_scale: float
+) -> Geometry:
+    """Upload a scene's triangles and lay them out; waits.
+
+    positions : (vertex_count, 3) float32, world space. triangles : (triangle_count, 3) uint32.
+    """
+    scaled = np.zeros((len(positions), 4), dtype=np.float32)
+    scaled[:, :3] = positions
+    if world_scale != 1.0:
+        scaled *= np.float32(world_scale)
+    buffer = buffers.upload(device, scaled)
+    indices = buffers.upload(device, np.ascontiguousarray(triangles, dtype=np.uint32))
+    corners = buffers.create(device, 48 * len(triangles))
+    kernels.build(device, "prepare_triangles.cl", features).launch(
+        "prepare_triangles",
+        -(-len(triangles) // WORK_GROUP) * WORK_GROUP,
+        WORK_GROUP,
+        triangle_count=len(triangles),
+        positions=buffer,
+        indices=indices,
+        corners=corners,
+    )
+    device.queue.finish()
+    return Geometry(buffer, indices, corners, len(triangles), len(positions))

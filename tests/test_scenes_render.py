@@ -1,0 +1,279 @@
+"""Every scene at hand through `clrast render`: it renders, exactly, or fails in one line and writes nothing.
+
+What is expected of each file is what DESIGN section 2 says of its kind of defect; what is right in a
+picture is said by exact_visibility.py and by float64 arithmetic on the scene's float32 values.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from classify_visibility import classify
+from exact_visibility import exact_visibility
+
+import clrast
+from clrast.__main__ import main
+from clrast.image.frame import CHANNEL_GROUPS, Frame
+from clrast.scene.model import Scene
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared" / "scenes"
+SIZE = (64, 48)
+OTHER_SIZES = {"fan.toml": (64, 64)}
+"""The fan's vertices are on pixel centres of this size to the last bit, and within rounding of others' edges."""
+NO_ID = 4294967295
+KINDS = (".ply", ".stl", ".off", ".obj", ".glb", ".gltf")
+
+REFUSED = {
+    "gltf/PrimitiveModes/Mesh_PrimitiveMode_00.gltf": "no triangle",  # points
+    "gltf/PrimitiveModes/Mesh_PrimitiveMode_01.gltf": "no triangle",  # lines
+    "gltf/PrimitiveModes/Mesh_PrimitiveMode_02.gltf": "no triangle",  # a line loop
+    "gltf/PrimitiveModes/Mesh_PrimitiveMode_03.gltf": "no triangle",  # a line strip
+    "nasty/Box_Draco.glb": "compressed",  # required, and the vertices are nowhere else
+    "nasty/IndexOutOfRange/IndexOutOfRange.gltf": "out of range",
+    "nasty/MissingBin.gltf": "missing",
+    "nasty/RecursiveNodes.gltf": "no triangle",  # a cycle of nodes without a mesh
+    "nasty/empty.obj": "no triangle",
+    "nasty/empty.ply": "no triangle",
+    "nasty/empty.stl": "no triangle",
+    "nasty/inf_nan.obj": "not finite",
+    "nasty/malformed.obj": "index 12",  # of 8 vertices
+    "nasty/points_only.ply": "no triangle",
+    "nasty/test-nan.obj": "not finite",
+    "nasty/truncated_chunk_data.glb": "cut short",
+    "nasty/wireframe_only.obj": "no triangle",
+    "nasty/zero_face_index.obj": "index 0",
+}
+"""File -> words of the one line that says why it cannot be rendered (exit 65)."""
+
+NASTY_BUT_SOUND = {
+    "nasty/BoxBadNormals.glb",  # normals of length 0: the faces' own are used
+    "nasty/busted.STL",
+    "nasty/concave_polygon.obj",  # a fan, as defined
+    "nasty/deg_faces.obj",
+    "nasty/degenerate_mesh.obj",  # one triangle that is a point: a picture of nothing
+    "nasty/huge_coordinates_ecef.glb",
+    "nasty/joined_tetrahedra.obj",
+    "nasty/nancolor.obj",
+    "nasty/negative_indices.obj",
+    "nasty/non_manifold_wrap.obj",
+    "nasty/origin_inside.STL",
+    "nasty/polygonfaces.obj",
+    "nasty/relative_indices/CornellBox-Original.obj",
+    "nasty/singlevn.obj",
+    "nasty/soup.stl",
+    "nasty/wallhole.obj",
+}
+COVERS_NOTHING = {"nasty/degenerate_mesh.obj"}
+
+MUST_WARN = {
+    "gltf/AlphaBlendModeTest.glb": ("normalTexture", "occlusionTexture", "metallicRoughnessTexture"),
+    "gltf/AttenuationTest.glb": ("KHR_materials_volume",),
+    "gltf/CesiumMan.glb": ("skins", "animations"),
+    "gltf/DamagedHelmet.glb": ("normalTexture", "occlusionTexture", "metallicRoughnessTexture"),
+    "nasty/concave_polygon.obj": ("concave_polygon.mtl",),
+    "nasty/huge_coordinates_ecef.glb": ("EXT_feature_metadata",),
+    "nasty/nancolor.obj": ("not finite",),
+    "nasty/polygonfaces.obj": ("surface.mtl",),
+}
+"""File -> what it asks for, and does not get: each must be named in a warning."""
+
+
+def shared_names() -> list[str]:
+    if not SHARED.is_dir():
+        return []
+    return sorted(str(path.relative_to(SHARED)) for path in SHARED.rglob("*") if path.suffix.lower() in KINDS)
+
+
+SCENES = [name for name in shared_names() if name not in REFUSED]
+CARDS = sorted(path.name for path in (ROOT / "data").glob("*.toml"))
+needs_scenes = pytest.mark.skipif(not SHARED.is_dir(), reason=f"the shared scenes are not at {SHARED}")
+
+
+@dataclass
+class Rendered:
+    scene: Scene
+    frame: Frame
+    stats: dict[str, Any]
+    stderr: list[str]
+
+
+def render(source: Path, folder: Path, capfd: pytest.CaptureFixture[str], *arguments: str) -> Rendered:
+    """Render with every channel; the command must succeed, say nothing on stdout and only warnings on stderr."""
+    image, stats = folder / "a.exr", folder / "a.json"
+    width, height = OTHER_SIZES.get(source.name, SIZE)
+    words = ["render", str(source), "-o", str(image), "--stats", str(stats), "--size", f"{width}x{height}", "-q"]
+    capfd.readouterr()
+    code = main([*words, "--aov", "all", *arguments])
+    printed = capfd.readouterr()
+    assert (code, printed.out) == (0, ""), printed.err
+    lines = printed.err.splitlines()
+    assert all(line.startswith("warning: ") for line in lines), lines
+    assert sorted(path.name for path in folder.iterdir()) == ["a.exr", "a.json"]
+    return Rendered(clrast.load(source), Frame.load(image), json.loads(stats.read_text()), lines)
+
+
+def vectors(frame: Frame, layer: str, where: np.ndarray) -> np.ndarray:
+    """(hit_count, 3) float64 of the channels layer.X .Y .Z."""
+    return np.stack([frame[f"{layer}.{axis}"][where] for axis in "XYZ"], axis=1).astype(np.float64)
+
+
+def length(rows: np.ndarray) -> np.ndarray:
+    return np.sqrt((rows * rows).sum(axis=1))
+
+
+def check_channels(rendered: Rendered) -> np.ndarray:
+    """What holds for every frame whatever the scene; returns where something was hit, (H, W) bool."""
+    frame, scene = rendered.frame, rendered.scene
+    wanted = [name for group, names in CHANNEL_GROUPS.items() if group != "cost" for name in names]
+    assert list(frame) == wanted
+    hit = frame["id.prim"] != NO_ID
+    for name in wanted:
+        values = frame[name]
+        if name.startswith("id."):
+            np.testing.assert_array_equal(values == NO_ID, ~hit, err_msg=name)
+            continue
+        assert not np.isnan(values).any(), name
+        if name in ("Z", "distance.Y"):
+            np.testing.assert_array_equal(np.isposinf(values), ~hit, err_msg=name)
+            assert (values > 0).all(), name
+            continue
+        assert np.isfinite(values).all(), name
+        assert name.startswith("ray") or (values[~hit] == 0).all(), name
+    prims = frame["id.prim"][hit]
+    assert (prims < scene.triangle_count).all()
+    np.testing.assert_array_equal(frame["id.object"][hit], scene.object_ids[prims])
+    np.testing.assert_array_equal(frame["id.material"][hit], scene.material_ids[prims])
+    assert rendered.stats["counts"]["hits"] == np.count_nonzero(hit)
+    assert rendered.stats["counts"]["triangles"] == scene.triangle_count
+    assert rendered.stats["counts"]["samples"] == hit.size
+    return hit
+
+
+def check_colors(rendered: Rendered, hit: np.ndarray) -> None:
+    frame, scene = rendered.frame, rendered.scene
+    assert all((frame[name] >= 0).all() for name in "RGBA") and (frame["A"] <= 1).all()
+    if not any(material.alpha_mode == "BLEND" for material in scene.materials):
+        np.testing.assert_array_equal(frame["A"], hit.astype(np.float32))
+    largest = max(max(material.base_color[:3]) for material in scene.materials)
+    for name in ("albedo.R", "albedo.G", "albedo.B"):
+        assert frame[name].min() >= 0 and frame[name].max() <= max(1, largest) * (1 + 2**-20), name
+
+
+def check_geometry(rendered: Rendered, hit: np.ndarray) -> None:
+    """Depth, distance, position, barycentrics and normals against one another in float64."""
+    frame, scene = rendered.frame, rendered.scene
+    corners = scene.positions[scene.triangles[frame["id.prim"][hit]]].astype(np.float64)
+    eye = rendered.stats["camera"].get("e") or rendered.stats["camera"]["e0"]
+    # the largest number that a position is a difference of; 8 float32 roundings of half an ulp each
+    magnitude = max(abs(corners).max(), *map(abs, eye))
+    u, v = (frame[f"bary.{name}"][hit].astype(np.float64)[:, None] for name in "UV")
+    assert min(u.min(), v.min(), (1 - u - v).min()) >= -(2.0**-20)
+    interpolated = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
+    assert abs(vectors(frame, "P", hit) - interpolated).max() <= magnitude * 2**-21
+    distance = frame["Z"][hit] * length(vectors(frame, "ray", hit))
+    np.testing.assert_allclose(frame["distance.Y"][hit], distance, rtol=2**-21)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # edges are rounded by up to half an ulp of a coordinate; a triangle of small angle turns more for it
+    edges = length(corners[:, 1] - corners[:, 0]) * length(corners[:, 2] - corners[:, 0])
+    slack = 2**-20 * edges / length(normals) * np.maximum(1, abs(corners).max(axis=(1, 2)) / np.sqrt(edges))
+    assert (length(vectors(frame, "Ng", hit) - normals / length(normals)[:, None]) <= slack).all()
+    np.testing.assert_allclose(length(vectors(frame, "N", hit)), 1, atol=2**-21)
+
+
+def check_visibility(rendered: Rendered, frame: Frame) -> None:
+    """`frame`, of the scene's bare geometry, against the exact answer. A sample within float32 rounding of an edge
+    may go to the triangle beyond it, 1 in 20,000: one in a picture this small; nothing else may be wrong."""
+    camera, scene = rendered.stats["camera"], rendered.scene
+    exact = exact_visibility(scene.positions, scene.triangles, camera, frame.width, frame.height)
+    found = classify(scene.positions, scene.triangles, camera, exact, frame["id.prim"], frame["Z"])
+    assert (found.hole_along_edge_count, found.wrong_surface_count) == (0, 0), found.differences
+    assert found.neighbour_count <= 1 and found.right_count >= found.sample_count - 1, found.differences
+    # the plane's t in pairs of floats, rounded once
+    assert found.depth_error <= 2**-23, found.depth_worst
+
+
+def check(name: str, source: Path, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    rendered = render(source, folder, capfd)
+    hit = check_channels(rendered)
+    check_colors(rendered, hit)
+    assert hit.any() != (name in COVERS_NOTHING)
+    if hit.any():
+        check_geometry(rendered, hit)
+    bare = rendered.frame
+    if any(material.alpha_mode == "MASK" for material in rendered.scene.materials):
+        bare = render(source, folder, capfd, "--effects", "alpha_mask=off").frame
+    check_visibility(rendered, bare)
+    for word in MUST_WARN.get(name, ()):
+        assert any(word in line for line in rendered.stderr), word
+
+
+@needs_scenes
+def test_the_tables_name_every_nasty_file() -> None:
+    nasty = {name for name in shared_names() if name.startswith("nasty/")}
+    assert nasty == {name for name in REFUSED if name.startswith("nasty/")} | NASTY_BUT_SOUND
+    assert set(shared_names()) > set(MUST_WARN) | set(REFUSED) and len(SCENES) > 40
+
+
+@needs_scenes
+@pytest.mark.parametrize("name", SCENES)
+def test_scene(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    check(name, SHARED / name, tmp_path, capfd)
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_card(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    check(name, ROOT / "data" / name, tmp_path, capfd)
+
+
+@needs_scenes
+@pytest.mark.parametrize("name", sorted(REFUSED))
+def test_refused(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Exit 65, one line that names the file, and the files that were there stay as they were."""
+    image, stats = tmp_path / "a.exr", tmp_path / "a.json"
+    image.write_text("an older image")
+    words = ["render", str(SHARED / name), "-o", str(image), "-o", str(tmp_path / "b.png"), "--stats", str(stats)]
+    assert main(words) == 65
+    check_refusal(name, *capfd.readouterr())
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr"] and image.read_text() == "an older image"
+
+
+def check_refusal(name: str, out: str, err: str) -> None:
+    (line,) = err.splitlines()
+    assert out == "" and line.startswith(f"clrast: error: {SHARED / name}: ") and REFUSED[name] in line
+
+
+@needs_scenes
+def test_relative_indices_mean_the_same(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The untouched Cornell box, with relative indices and tabs, is the one with absolute indices."""
+    images = []
+    for folder in ("cornell_box", "nasty/relative_indices"):
+        made = tmp_path / Path(folder).name
+        made.mkdir()
+        render(SHARED / folder / "CornellBox-Original.obj", made, capfd)
+        images.append((made / "a.exr").read_bytes())
+    assert images[0] == images[1]
+
+
+@needs_scenes
+@pytest.mark.parametrize("name", ["suzanne.obj", "nasty/soup.stl", "nasty/inf_nan.obj", "nasty/Box_Draco.glb"])
+def test_whole_process(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """As typed: the interpreter ends with the command's code, and the file is the one of a call in this process."""
+    words = [sys.executable, "-m", "clrast", "render", str(SHARED / name), "-o", str(tmp_path / "p.exr"), "-q"]
+    words += ["--size", "64x48", "--aov", "all"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    if name in REFUSED:
+        assert done.returncode == 65 and not list(tmp_path.iterdir())
+        check_refusal(name, done.stdout, done.stderr)
+        return
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    (tmp_path / "here").mkdir()
+    render(SHARED / name, tmp_path / "here", capfd)
+    assert (tmp_path / "p.exr").read_bytes() == (tmp_path / "here" / "a.exr").read_bytes()
