@@ -6,11 +6,14 @@
 // Good at: everything that is drawn more than once. Bad at: memory (48 bytes a triangle).
 // Tests: tests/test_rasterizer.py.
 
+// A work-item is one triangle: vectors have one lane here, whatever the device's width.
+#undef VECTOR_WIDTH
+#define VECTOR_WIDTH 1
 #include "vector.clh"
 #include "edge_function.clh"
 
 // Reads: positions, indices (host). Writes: corners (for setup_triangles, bin_triangles,
-// rasterize_tiles). Work item: one triangle. Local memory: 0 bytes. VECTOR_WIDTH is 1.
+// rasterize_tiles). Work item: one triangle. Local memory: 0 bytes.
 kernel void prepare_triangles(
     uint triangle_count,
     global const float4 *restrict positions,  // [vertex_count] world space times world_scale

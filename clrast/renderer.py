@@ -7,10 +7,8 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -55,8 +53,10 @@ def render(scene: Scene, camera: Camera | None = None, *, options: RenderOptions
     plan = plan_effects(scene, options.aov, options.effects)
     planned = time.perf_counter()
     device = open_device(options.device, options.threads)
+    opened = time.perf_counter()
     job = RenderJob(device, scene, vectors, options, plan)
     job.times["plan"] = 1000 * (planned - started)
+    job.times["device"] = 1000 * (opened - planned)
     frame_count = max(1, options.repeat + (1 if options.repeat else 0))
     channels = job.allocate()
     for k in range(frame_count):
@@ -67,7 +67,9 @@ def render(scene: Scene, camera: Camera | None = None, *, options: RenderOptions
     return Frame(channels, header, stats)
 
 
-def make_features(device: Device, scene: Scene, vectors: CameraVectors, options: RenderOptions, plan: EffectPlan) -> Features:
+def make_features(
+    device: Device, scene: Scene, vectors: CameraVectors, options: RenderOptions, plan: EffectPlan
+) -> Features:
     """The build options of all kernels of one render."""
     large = options.size[0] * options.size[1] >= LARGE_IMAGE and loop_limit(device) is None
     tile_log2 = TILE_LOG2_LARGE if large else TILE_LOG2_SMALL
@@ -102,9 +104,8 @@ class RenderJob:
         self.view = build_view(vectors, low, high, self.tile_log2)
         self.groups = tuple(group for group in options.aov if group != "cost")
         started = time.perf_counter()
-        scalar = replace(self.features, vector_width=1)
         self.geometry = build_geometry(
-            device, scalar, scene.positions, scene.triangles, float(self.view["world_scale"])
+            device, self.features, scene.positions, scene.triangles, float(self.view["world_scale"])
         )
         self.times["build"] = 1000 * (time.perf_counter() - started)
         started = time.perf_counter()
@@ -118,7 +119,7 @@ class RenderJob:
         )
         self.shader = Shader(
             device,
-            scalar,
+            self.features,
             self.geometry,
             self.surfaces,
             self.groups,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,6 +21,9 @@ from clrast.shading.effects import plan_effects
 from clrast.visibility import tiles
 
 NO_HIT = layout.NO_HIT
+
+# Oclgrind has no `llvm.experimental.noalias.scope.decl`, which clang leaves where it inlines a function.
+os.environ.setdefault("OCLGRIND_BUILD_OPTIONS", "-cl-opt-disable -Dalways_inline=")
 
 
 def as_float32(values: Sequence[float] | np.ndarray) -> tuple[float, float, float]:

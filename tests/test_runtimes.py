@@ -96,10 +96,13 @@ def sha256(path: Path) -> str:
 
 
 def start(
-    folder: Path, renders: Sequence[SmallRender], options: Sequence[str], cwd: Path = ROOT, **environment: str
+    folder: Path,
+    kinds: Sequence[tuple[SmallRender, str]],
+    options: Sequence[str],
+    cwd: Path = ROOT,
+    **environment: str,
 ) -> Worker:
-    """A process that renders each image whole, in bands, and the last one of them as the third of three frames."""
-    kinds = [(one, way) for one in renders for way in ("whole", "bands")] + [(renders[-1], "repeat")]
+    """A process that renders each image in its way: "whole", in "bands", or "repeat" for the third of three frames."""
     folder.mkdir(parents=True, exist_ok=True)
     tasks = []
     for one, way in kinds:
@@ -131,10 +134,11 @@ def check_settings(
     cache, far = folder / "cache", folder / "far away"
     far.mkdir()
     settings = {"CLRAST_VECTOR_WIDTH": str(width), "CLRAST_CACHE_DIR": str(cache)}
-    start(folder / "cold", wanted, ("--device", runtime, "-t", "1"), **settings).check(references)
+    kinds = [(one, way) for one in wanted for way in ("whole", "bands")] + [(wanted[-1], "repeat")]
+    start(folder / "cold", kinds, ("--device", runtime, "-t", "1"), **settings).check(references)
     binaries = sorted(cache.glob("*.bin"))
     assert binaries or runtime not in ("pocl", "intel")
-    start(folder / "warm", wanted, ("--threads", "2", "--device", runtime), far, **settings).check(references)
+    start(folder / "warm", kinds, ("--threads", "2", "--device", runtime), far, **settings).check(references)
     assert sorted(cache.glob("*.bin")) == binaries and not list(far.iterdir())
 
 
@@ -159,9 +163,9 @@ def test_two_at_once_with_cold_caches(runtime: str, references: References, tmp_
     environment = {name: str(tmp_path / folder) for name, folder in caches.items()}
     for folder in environment.values():
         Path(folder).mkdir()
-    wanted = [references.renders["lamps"]]
+    kinds = [(references.renders["lamps"], "whole")]
     options = ("--device", runtime)
-    workers = [start(tmp_path / str(k), wanted, options, CLRAST_VECTOR_WIDTH="1", **environment) for k in range(2)]
+    workers = [start(tmp_path / str(k), kinds, options, CLRAST_VECTOR_WIDTH="1", **environment) for k in range(2)]
     for worker in workers:
         worker.check(references)
     assert {path.suffix for path in (tmp_path / "clrast").iterdir()} <= {".bin", ".survived"}
@@ -218,18 +222,21 @@ def test_oclgrind_reports(oclgrind: dict[str, str], tmp_path: Path) -> None:
     assert "Invalid write of size 4" in log and "data race" in log
 
 
-@pytest.mark.parametrize(("name", "width"), [("room", 1), ("layers", 1), ("lamps", 1), ("lamps", 16)])
+@pytest.mark.parametrize("name", ["room", "layers", "lamps", "crossing"])
 def test_oclgrind_finds_nothing(
-    name: str, width: int, renders: dict[str, SmallRender], oclgrind: dict[str, str], tmp_path: Path
+    name: str, renders: dict[str, SmallRender], oclgrind: dict[str, str], tmp_path: Path
 ) -> None:
-    """An image of 16 x 16: no access out of bounds, no data race, and the bytes of the default device."""
-    one = renders[name]
+    """An image of 16 x 16: no access out of bounds, no data race, and the bytes of the default device.
+
+    Vectors of width 1 only: Oclgrind 21.10 makes 1 of -1 where LLVM turns `a | b` of wide comparisons into a select.
+    """
+    source = ROOT / "data" / "crossing.toml" if name == "crossing" else renders[name].source
     view = ("--size", "16x16", "--aov", "all", "-q")
     small = tmp_path / "here.exr"
-    assert main(["render", str(one.source), *view, "-o", str(small)]) == 0
-    environment = {**os.environ, **oclgrind, "CLRAST_VECTOR_WIDTH": str(width), "CLRAST_CACHE_DIR": "off"}
+    assert main(["render", str(source), *view, "-o", str(small)]) == 0
+    environment = {**os.environ, **oclgrind, "CLRAST_VECTOR_WIDTH": "1", "CLRAST_CACHE_DIR": "off"}
     image = tmp_path / "oclgrind.exr"
-    words = [sys.executable, "-m", "clrast", "render", str(one.source), *view, "-o", str(image)]
+    words = [sys.executable, "-m", "clrast", "render", str(source), *view, "-o", str(image)]
     done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=SECONDS)
     log = tmp_path / "oclgrind.log"
     assert not log.exists() or not log.read_text().strip(), log.read_text()[:4000]

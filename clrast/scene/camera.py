@@ -103,7 +103,7 @@ def view_basis(camera: Camera) -> tuple[Vector, Vector, Vector]:
     """
     for name, value in (("eye", camera.eye), ("look-at", camera.look_at), ("up", camera.up)):
         if not all(math.isfinite(c) for c in value):
-            raise UsageError(f"camera '{camera.name}': {name} has a value that is not finite: give three finite numbers")
+            raise UsageError(f"camera '{camera.name}': {name} is not finite: give three finite numbers")
     toward = _subtract(camera.look_at, camera.eye)
     if toward == (0.0, 0.0, 0.0) or not all(math.isfinite(c) for c in toward):
         raise UsageError(f"camera '{camera.name}': eye equals look-at ({camera.eye}): move one of them")

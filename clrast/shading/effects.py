@@ -59,7 +59,9 @@ def used_materials(scene: Scene) -> list[Material]:
     return [material for material, count in zip(scene.materials, counts, strict=False) if count]
 
 
-def _called_for(materials: Iterable[Material], test: Callable[[Material], bool], what: str, why_not: str) -> tuple[bool, str]:
+def _called_for(
+    materials: Iterable[Material], test: Callable[[Material], bool], what: str, why_not: str
+) -> tuple[bool, str]:
     names = [material.name for material in materials if test(material)]
     if not names:
         return False, why_not
@@ -89,7 +91,9 @@ def plan_effects(scene: Scene, aov: Iterable[str], asked: Mapping[str, str] | No
         wanted["alpha blend"] = _called_for(
             materials, lambda m: m.alpha_mode == "BLEND", "alpha mode BLEND", "no visible material has alpha mode BLEND"
         )
-        wanted["emission"] = _called_for(materials, lambda m: max(m.emissive) > 0, "emits light", "no material emits light")
+        wanted["emission"] = _called_for(
+            materials, lambda m: max(m.emissive) > 0, "emits light", "no material emits light"
+        )
     else:
         wanted["alpha blend"] = (False, "no colour is asked for")
         wanted["emission"] = (False, "no colour is asked for")

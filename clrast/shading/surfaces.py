@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clrast.errors import CapacityError
-from clrast.opencl import buffers
-from clrast.opencl import layout
+from clrast.opencl import buffers, layout
 from clrast.opencl.device import Device
 from clrast.scene.model import Light, Material, Scene, TextureUse
 from clrast.shading.effects import EffectPlan

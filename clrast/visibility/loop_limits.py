@@ -44,6 +44,17 @@ def chunk_size_within(limit: int, spans: np.ndarray, vector_width: int) -> int:
     return size
 
 
+def _worst_piece(cost: np.ndarray, begin: np.ndarray, lengths: np.ndarray, span: int) -> int:
+    """Largest cost of a piece when each list of `lengths` from `begin` on is cut every `span` references."""
+    piece_counts = -(-lengths // span)
+    if not piece_counts.any():
+        return 0
+    number = np.arange(int(piece_counts.sum())) - np.repeat(np.cumsum(piece_counts) - piece_counts, piece_counts)
+    starts = np.repeat(begin[:-1].astype(np.int64), piece_counts) + number * span
+    ends = np.minimum(starts + span, np.repeat(begin[1:].astype(np.int64), piece_counts))
+    return int((cost[ends] - cost[starts]).max())
+
+
 def reference_span_within(
     limit: int, tile_begin: np.ndarray, bounds: np.ndarray, tile_size: int, vector_width: int
 ) -> int:
@@ -60,13 +71,10 @@ def reference_span_within(
     tested = block_rows * max(1, tile_size // columns // vector_width)
     cost = np.concatenate([[0], np.cumsum(16 + 2 * blocks + tested)])
     base = 6 * tile_size * tile_size
-    longest = int(np.diff(tile_begin.astype(np.int64)).max(initial=0))
-    span = max(vector_width, longest)
+    lengths = np.diff(tile_begin.astype(np.int64))
+    span = max(vector_width, int(lengths.max(initial=0)))
     while span > 1:
-        starts = np.concatenate([np.arange(a, b, span) for a, b in zip(tile_begin[:-1], tile_begin[1:], strict=True)])
-        ends = np.minimum(starts + span, np.repeat(tile_begin[1:], -(-np.diff(tile_begin.astype(np.int64)) // span)))
-        starts = starts.astype(np.int64)
-        if starts.size == 0 or int((cost[ends] - cost[starts]).max()) + base <= limit:
+        if _worst_piece(cost, tile_begin, lengths, span) + base <= limit:
             break
         span //= 2
     return span

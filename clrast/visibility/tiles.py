@@ -184,8 +184,8 @@ class TileRasterizer:
     def _fit_references(self, tile_count: int) -> None:
         """Cut the tiles' lists to what the driver's loops allow; reads the references back."""
         begin = buffers.download(self.device, self._tile_begin, np.uint32, tile_count + 1)
+        assert self._limit is not None and self._reference_bounds is not None
         bounds = buffers.download(self.device, self._reference_bounds, np.uint32, self.reference_count)
-        assert self._limit is not None
         self._longest_list = int(np.diff(begin.astype(np.int64)).max(initial=0))
         self._reference_span = reference_span_within(
             self._limit, begin, bounds, 1 << self.features.tile_log2, self.features.vector_width
@@ -247,5 +247,6 @@ class TileRasterizer:
         """prim_ids of each tile of the band, in their order. Waits."""
         tile_count = int(self.view["band_rows"]) * int(self.view["tile_columns"])
         begin = buffers.download(self.device, self._tile_begin, np.uint32, tile_count + 1)
+        assert self._reference_prims is not None
         prims = buffers.download(self.device, self._reference_prims, np.uint32, self.reference_count)
         return [prims[a:b] for a, b in zip(begin[:-1], begin[1:], strict=True)]

@@ -34,6 +34,11 @@ def _split(a: Vector) -> tuple[np.ndarray, np.ndarray]:
     return high, (exact - high.astype(np.float64)).astype(np.float32)
 
 
+def _reaches(low: np.ndarray, high: np.ndarray, center: Vector) -> list[float]:
+    """How far the box low .. high reaches from `center` along each axis."""
+    return [max(abs(float(b) - c), abs(float(a) - c)) for a, b, c in zip(low, high, center, strict=True)]
+
+
 def world_scale(camera: CameraVectors, low: np.ndarray, high: np.ndarray) -> float:
     """The power of two that positions are multiplied by on the device, 1 for ordinary sizes.
 
@@ -41,7 +46,7 @@ def world_scale(camera: CameraVectors, low: np.ndarray, high: np.ndarray) -> flo
     round nothing), so the answer is the same; it keeps products of coordinates in float32's range.
     """
     center = camera.center() if camera.projection == "orthographic" else camera.origin
-    reach = max(max(abs(float(b) - c), abs(float(a) - c)) for a, b, c in zip(low, high, center, strict=True))
+    reach = max(_reaches(low, high, center))
     exponent = math.frexp(reach)[1]
     if reach == 0.0 or -SCALE_FREE_EXPONENT <= exponent <= SCALE_FREE_EXPONENT:
         return 1.0
@@ -64,10 +69,7 @@ def build_view(camera: CameraVectors, low: np.ndarray, high: np.ndarray, tile_lo
         axis = camera.direction
         view["axis"], view["axis_low"] = _split(axis)
         view["first"] = _split(_times(camera.first, scale))[0]
-        corners = [(low, high)[k] for k in (0, 1)]
-        distance = math.sqrt(
-            sum(max(abs(float(c[k]) - center[k]) for c in corners) * scale * max(abs(float(c[k]) - center[k]) for c in corners) * scale for k in range(3))
-        )
+        distance = scale * math.sqrt(sum(reach * reach for reach in _reaches(low, high, center)))
         pixel = math.sqrt(min(_dot(tangent_x, tangent_x), _dot(tangent_y, tangent_y)))
         view["focal"] = max(distance / pixel, float(camera.width + camera.height))
     else:
