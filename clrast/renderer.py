@@ -20,6 +20,7 @@ from clrast.opencl import buffers
 from clrast.opencl.device import Device, open_device
 from clrast.opencl.features import Features, Precision, Projection
 from clrast.opencl.layout import NO_HIT
+from clrast.opencl.runtimes import PREFETCHING
 from clrast.options import RenderOptions, make_options, resolved_header
 from clrast.scene.camera import CameraVectors, camera_vectors, frame_scene
 from clrast.scene.model import Camera, Scene
@@ -79,7 +80,7 @@ def make_features(
         precision=Precision[options.precision.upper()],
         projection=Projection[vectors.projection.upper()],
         keep_nearness=plan["alpha blend"] or loop_limit(device) is not None,
-        prefetch=device.runtime in ("pocl", "intel"),
+        prefetch=device.runtime in PREFETCHING,
         alpha_mask=plan["alpha mask"],
         alpha_blend=plan["alpha blend"],
         textures=plan["textures"],

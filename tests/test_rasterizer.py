@@ -25,8 +25,8 @@ PROPERTY = settings(
     database=None,
     suppress_health_check=[HealthCheck.too_slow],
 )
-TILE_LOG2S = [k for k in (3, 4, 6) if k <= getattr(layout, "BOUND_BITS", 7)]
-"""Beside the default of 5; a reference has BOUND_BITS bits for a coordinate in a tile."""
+TILE_LOG2S = (3, 4, 6)
+"""Beside 5, which small images have."""
 
 
 def oblique(projection: str, width: int, height: int, fov: float = 60.0) -> CameraVectors:

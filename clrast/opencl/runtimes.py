@@ -33,6 +33,10 @@ PREFERENCE = ("pocl", "intel", "cpu", "gpu", "rusticl", "clover", "oclgrind")
 THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", "LP_NUM_THREADS", "DPCPP_CPU_NUM_CUS")
 
 
+PREFETCHING = ("pocl", "intel")
+"""Runtimes whose compiler knows __builtin_prefetch (and whose own prefetch() does nothing)."""
+
+
 @dataclass(frozen=True)
 class KnownFault:
     """One fault of a driver: where it is met, what happens, and what that means here."""
@@ -47,6 +51,8 @@ KNOWN_FAULTS = (
     KnownFault("pocl", "PoCL 3.1", "sub-devices do not limit the number of busy threads"),
     KnownFault("intel", "", "keeps the number of threads that it had at its first use in a process"),
     KnownFault("rusticl", " 22.3", "no float64; flushes subnormal operands and results of fma"),
+    KnownFault("rusticl", " 22.3", "its compiler kills the process at __builtin_prefetch"),
+    KnownFault("rusticl", "", "llvmpipe ends all loops of a work-item after 65,535 iterations, without a word"),
     KnownFault("clover", "", "shows no device for a processor"),
     KnownFault("oclgrind", "", "an interpreter, for small scenes; its own launcher crashes pyopencl's wheel"),
 )
