@@ -108,7 +108,7 @@ class RenderJob:
         self.geometry = build_geometry(
             device, self.features, scene.positions, scene.triangles, float(self.view["world_scale"])
         )
-        self.times["build"] = 1000 * (time.perf_counter() - started)
+        self.times["prepare"] = 1000 * (time.perf_counter() - started)
         started = time.perf_counter()
         self.surfaces = SurfaceBuffers(device, scene, plan, reads_uv="uv" in self.groups)
         self.times["upload"] = 1000 * (time.perf_counter() - started)

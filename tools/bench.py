@@ -7,8 +7,9 @@
 
 Every repetition times each renderer on each scene in turn, so that a machine that drifts drifts for
 all; the table gives medians with the 10th and 90th percentile, and the median of the paired ratios.
-clrast is timed from the first launch to the finished queue, with the scene on the device; Embree from
-its first ray to its last, on two threads, with rays and tree made beforehand. Alpha tests are off.
+clrast is timed from the first launch to the finished queue, with the scene on the device, its corners and
+plane normals laid out once (`prepare`, shown apart); Embree from its first ray to its last, on two threads,
+with rays and tree made beforehand. Alpha tests are off.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from clrast.scene.camera import camera_vectors  # noqa: E402
 from clrast.scene.load import load  # noqa: E402
 from clrast.scene.model import Camera, Scene  # noqa: E402
 from clrast.shading.effects import plan_effects  # noqa: E402
+from clrast.visibility.geometry import build_geometry  # noqa: E402
 
 SHARED = ROOT.parent / "shared" / "scenes"
 TARGET_MS = {"icosphere": 6.0, "bunny": 2.0, "dragon": 4.0, "sponza inside": 6.0}
@@ -92,6 +94,14 @@ class ClrastPeer:
         self.tiles, self.queue, self.rows = job.tiles, device.queue, int(job.view["tile_rows"])
         self.references = 0
         self.frame()
+        self.prepare_ms = self._time_prepare(device, job, scene)
+
+    @staticmethod
+    def _time_prepare(device: Device, job: RenderJob, scene: Scene) -> float:
+        """Milliseconds of what is done once for a scene: upload and prepare_triangles."""
+        started = time.perf_counter()
+        build_geometry(device, job.features, scene.positions, scene.triangles, float(job.view["world_scale"]))
+        return 1000 * (time.perf_counter() - started)
 
     def frame(self) -> None:
         """Setup, bin and visibility without a stop: the lists' size is known from the frame before."""
@@ -160,6 +170,7 @@ class Row:
     name: str
     triangles: int
     references: int = 0
+    prepare_ms: float = 0.0
     agreement: float = float("nan")
     frame_ms: list[float] = field(default_factory=list)
     embree_ms: list[float] = field(default_factory=list)
@@ -171,6 +182,7 @@ class Row:
             "scene": self.name,
             "triangles": self.triangles,
             "references": self.references,
+            "prepare_ms": self.prepare_ms,
             "clrast_ms": spread(self.frame_ms),
             "stages_ms": {stage: spread(values) for stage, values in self.stage_ms.items()},
             "embree_ms": spread(self.embree_ms) if self.embree_ms else None,
@@ -220,14 +232,17 @@ def measure(table: dict[str, tuple[Scene, Camera]], args: argparse.Namespace) ->
                 row.embree_ms.append(spent)
     for name, (ours, embree) in peers.items():
         rows[name].references = ours.references
+        rows[name].prepare_ms = ours.prepare_ms
         if embree is not None:
             rows[name].agreement = float((ours.prim_ids(args.size) == embree.prim_ids(args.size)).mean())
     return list(rows.values())
 
 
 def print_table(rows: list[Row]) -> None:
-    print(f"{'scene':<14} {'triangles':>9}  {'ms (p10-p90)':>19} {'target':>6}  {'setup':>6} {'bin':>6} {'raster':>6}  "
-          f"{'embreex ms':>10} {'ratio':>6} {'same ids':>9}")  # fmt: skip
+    print(
+        f"{'scene':<14} {'triangles':>9}  {'ms (p10-p90)':>19} {'target':>6}  {'setup':>6} {'bin':>6} {'raster':>6} "
+        f"{'prepare':>8}  {'embreex ms':>10} {'ratio':>6} {'same ids':>9}"
+    )
     for row in rows:
         f = row.figures()
         ours, stages, embree, ratio = f["clrast_ms"], f["stages_ms"], f["embree_ms"], f["ratio"]
@@ -236,6 +251,7 @@ def print_table(rows: list[Row]) -> None:
             f"{row.name:<14} {row.triangles:>9}  {ours['median']:>6.2f} ({ours['p10']:.2f}-{ours['p90']:.2f})".ljust(47)
             + f"{target or '-':>6}  "
             + " ".join(f"{stages[stage]['median']:>6.2f}" for stage in STAGES)
+            + f" {row.prepare_ms:>8.2f}"
             + (f"  {embree['median']:>10.1f} {ratio['median']:>5.1f}x {row.agreement:>9.6f}" if embree else "")
         )
 
