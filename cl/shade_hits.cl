@@ -92,21 +92,28 @@ static inline float4 interpolate_normal(global const float4 *normals, SurfacePoi
 #endif
 }
 
-// t = N . (p_0 - e) / (N . d) of the ray through the sample (x, y) of the viewport, as defined in DESIGN
-// from e, d0, dx, dy: in pairs of floats, since N . d cancels where a triangle is seen at a grazing angle.
-static inline float ray_parameter(View view, float4 p0, float4 p1, float4 p2, float x, float y) {
+// Where the ray through the sample (x, y) of the viewport meets the triangle's plane: t = N . (p_0 - e) / (N . d)
+// and e + t d, with e, d0, dx, dy as DESIGN defines them. In pairs of floats, since N . d cancels where a triangle is
+// seen at a grazing angle, and e + t d where the eye is far away. t and position come in world units.
+static inline float4 meet_plane(View view, float4 p0, float4 p1, float4 p2, float x, float y, float *t) {
+  const float4 nothing = (float4)(0.0f);
   const Pair3 normal = pair_cross(pair_difference(p1, p0), pair_difference(p2, p0));
 #if PROJECTION == PROJECTION_ORTHOGRAPHIC
-  const float4 nothing = (float4)(0.0f);
   const Pair3 e = pair_affine3(view.first, view.tangent_x, x, view.tangent_y, y);
-  const Pair3 d = pair_difference(view.axis, nothing), p = pair_difference(p0, nothing);
+  const Pair3 d = pair_difference(view.axis, nothing);
+#else
+  const Pair3 e = pair_difference(view.origin, nothing);
+  const Pair3 d = pair_affine3(view.first, view.tangent_x, x, view.tangent_y, y);
+#endif
+  const Pair3 p = pair_difference(p0, nothing);
   const Pair3 way = {
       pair_add(p.x, pair_negate(e.x)), pair_add(p.y, pair_negate(e.y)), pair_add(p.z, pair_negate(e.z))};
-#else
-  const Pair3 d = pair_affine3(view.first, view.tangent_x, x, view.tangent_y, y);
-  const Pair3 way = pair_difference(p0, view.origin);
-#endif
-  return pair_divide(pair_dot(normal, way), pair_dot(normal, d)) / view.world_scale;
+  const Pair parameter = pair_divide(pair_dot(normal, way), pair_dot(normal, d));
+  *t = parameter.high / view.world_scale;
+  const Pair at_x = pair_add(e.x, pair_multiply(parameter, d.x));
+  const Pair at_y = pair_add(e.y, pair_multiply(parameter, d.y));
+  const Pair at_z = pair_add(e.z, pair_multiply(parameter, d.z));
+  return (float4)(at_x.high, at_y.high, at_z.high, 0.0f) / view.world_scale;
 }
 
 // Evaluates the visible triangle at the pixel (column, row) of the image.
@@ -131,9 +138,8 @@ static inline Hit find_hit(
     weigh_vertices(&hit.at, v[1], v[2], v[0]);
   else
     weigh_vertices(&hit.at, v[0], v[1], v[2]);
-  hit.t = ray_parameter(view, p0, p1, p2, (float)column + 0.5f, (float)row + 0.5f);
+  hit.position = meet_plane(view, p0, p1, p2, (float)column + 0.5f, (float)row + 0.5f, &hit.t);
   hit.direction = direction;
-  hit.position = ((p0 * hit.at.b0 + p1 * hit.at.b1) + p2 * hit.at.b2) / view.world_scale;
   const Vec3 plane = cross3(subtract(b, a), subtract(c, a));
   hit.geometric_normal = unit((float4)(plane.x, plane.y, plane.z, 0.0f));
   hit.shading_normal = interpolate_normal(normals, hit.at, hit.geometric_normal);

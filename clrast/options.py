@@ -357,6 +357,12 @@ def make_options(values: Mapping[str, Any]) -> RenderOptions:
     return RenderOptions(**known)
 
 
+def effects_text(switched_on: Iterable[str]) -> str:
+    """Effects as an image's header names them: in the fixed order, with underscores, between commas."""
+    names = set(switched_on)
+    return ",".join(name.replace(" ", "_") for name in EFFECTS if name in names)
+
+
 def resolved_header(
     options: RenderOptions,
     camera_vectors: Mapping[str, Sequence[float]],
@@ -372,7 +378,6 @@ def resolved_header(
     """
     if effects_on is None:
         effects_on = [name for name, state in options.effects.items() if state == "on"]
-    switched_on = set(effects_on)
     header: dict[str, Any] = {
         "version": __version__,
         "size": f"{options.size[0]}x{options.size[1]}",
@@ -380,7 +385,7 @@ def resolved_header(
         "mode": options.mode,
         "precision": options.precision,
         "aa": options.aa,
-        "effects": ",".join(name.replace(" ", "_") for name in EFFECTS if name in switched_on),
+        "effects": effects_text(effects_on),
     }
     for name, vector in camera_vectors.items():
         x, y, z = (float(component) for component in vector)

@@ -25,7 +25,7 @@ from clrast.options import RenderOptions, make_options, resolved_header
 from clrast.scene.camera import CameraVectors, camera_vectors, frame_scene
 from clrast.scene.model import Camera, Scene
 from clrast.shading.effects import EffectPlan, plan_effects
-from clrast.shading.shade import Shader
+from clrast.shading.shade import Shader, channel_names
 from clrast.shading.surfaces import MASK_ARGUMENTS, SurfaceBuffers
 from clrast.visibility.bands import BandPlan, plan_bands
 from clrast.visibility.geometry import build_geometry
@@ -37,6 +37,8 @@ TILE_LOG2_SMALL, TILE_LOG2_LARGE = 5, 6
 LARGE_IMAGE = 1 << 19
 """Pixels from which on tiles of 64 x 64 are faster than 32 x 32: fewer lists, and still enough for all threads."""
 METHOD = "3dr-binning"
+MEMORY_SHARE = 0.75
+"""Part of the device's memory that is the budget where --memory names none."""
 
 
 def render(scene: Scene, camera: Camera | None = None, *, options: RenderOptions | None = None, **named: Any) -> Frame:
@@ -142,7 +144,9 @@ class RenderJob:
             self.tile_log2,
             fixed_bytes=self.scene_bytes + BOUND_BYTES * self.scene.triangle_count,
             pixel_bytes=per_pixel,
-            budget=self.options.memory,
+            piece_bytes=4 * max(1, len(channel_names(self.groups))),
+            budget=self.options.memory or int(MEMORY_SHARE * self.device.global_memory_bytes),
+            max_piece=self.device.max_allocation_bytes,
             limited=loop_limit(self.device) is not None,
         )
 
@@ -265,9 +269,8 @@ class RenderJob:
                 "traversal_steps": 0,
                 "kernel_launches": self.launches,
                 "passes": self.passes,
-                "bands": self.band_count,
-                "tile_references": self.reference_peak,
             },
+            "other_counts": {"bands": self.band_count, "tile_references": self.reference_peak},
             "times_ms": {
                 **{stage: 0.0 for stage in ("build", "setup", "bin", "visibility", "shade", "resolve", "plan")},
                 **self.times,

@@ -46,7 +46,7 @@ def result(task: dict[str, Any]) -> dict[str, Any]:
     stats = json.loads(Path(task["stats"]).read_text())
     sha256 = hashlib.sha256(Path(task["output"]).read_bytes()).hexdigest()
     device = f"{stats['device']['platform']} {stats['device']['name']}"
-    return {"code": 0, "error": error, "sha256": sha256, "bands": stats["counts"]["bands"], "device": device}
+    return {"code": 0, "error": error, "sha256": sha256, "bands": stats["other_counts"]["bands"], "device": device}
 
 
 if __name__ == "__main__":

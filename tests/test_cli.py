@@ -249,6 +249,14 @@ def test_notes_and_warnings(world: World, capsys: pytest.CaptureFixture[str]) ->
     assert [line.split(":")[0] for line in capsys.readouterr().err.splitlines()] == ["warning", "warning"]
 
 
+def test_a_failure_is_one_line_beside_warnings(world: World, capsys: pytest.CaptureFixture[str]) -> None:
+    """What the camera is, is said of pictures only: scripts take the one line that is no warning for the error."""
+    world.fault = errors.DeviceError("there is no OpenCL device: install one")
+    assert main(["render", world.source, "-o", world.out(), "--height", "2"]) == 69
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(":")[0] for line in lines] == ["warning", "clrast"]
+
+
 def test_fov_is_ignored_by_an_orthographic_view(world: World, capsys: pytest.CaptureFixture[str]) -> None:
     world.scene = make_scene(cameras=(Camera("flat", "orthographic", height=3.0),))
     assert main(["render", world.source, "-o", world.out(), "--fov", "20"]) == 0

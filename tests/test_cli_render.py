@@ -187,6 +187,15 @@ def test_the_same_render_is_the_same_file(square: Path, tmp_path: Path) -> None:
     assert (tmp_path / "python.exr").read_bytes() == contents[0]
 
 
+def test_a_picture_beside_it_does_not_change_the_exr(tmp_path: Path) -> None:
+    """A PNG wants colour, and with it effects that ids do not call for: they are not in the EXR file's header."""
+    room = Path(__file__).resolve().parents[1] / "data" / "room.toml"
+    for name, more in (("alone", ()), ("beside", ("-o", str(tmp_path / "b.png")))):
+        render(room, tmp_path / f"{name}.exr", "--aov", "id", "--size", "24x16", "-q", *more)
+    assert clrast.Frame.load(tmp_path / "alone.exr").header["effects"] == "textures,alpha_mask"
+    assert (tmp_path / "alone.exr").read_bytes() == (tmp_path / "beside.exr").read_bytes()
+
+
 def test_two_outputs_and_nothing_on_stdout(square: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     arguments = ["-o", str(tmp_path / "a.exr"), "-o", str(tmp_path / "b.png"), "--size", "32x24"]
     assert main(["render", str(square), *arguments]) == 0
@@ -224,7 +233,8 @@ def test_stats_schema(square: Path, tmp_path: Path) -> None:
     for name in ("rays_shadow", "rays_reflection", "rays_refraction", "rays_indirect"):
         assert stats["counts"][name] == 0
     times = stats["times_ms"]
-    assert set(STAGES) <= set(times) and all(times[stage] >= 0 for stage in STAGES)
+    assert list(times) == list(STAGES) and all(times[stage] >= 0 for stage in STAGES)
+    assert not set(stats["other_times_ms"]) & set(STAGES)
     for stage in ("load", "setup", "bin", "visibility", "shade", "write"):
         assert times[stage] > 0, stage
     assert times["build"] == 0
@@ -233,6 +243,15 @@ def test_stats_schema(square: Path, tmp_path: Path) -> None:
     assert all(isinstance(effect["on"], bool) and effect["reason"] for effect in stats["effects"])
     on = {effect["name"] for effect in stats["effects"] if effect["on"]}
     assert not on & {"alpha mask", "shadow", "textures", "reflection", "emission"}
+
+
+def test_the_stats_of_python_have_the_same_keys(square: Path, tmp_path: Path) -> None:
+    stats = render(square, tmp_path / "a.exr", *PARALLEL)
+    frame = clrast.render(clrast.load(square), size=(8, 8))
+    assert list(frame.stats) == list(stats)
+    for table in ("counts", "times_ms"):
+        assert list(frame.stats[table]) == list(stats[table])
+    assert frame.stats["times_ms"]["write"] == 0 and frame.stats["counts"]["setups"] is None
 
 
 # Scene cards and cameras of files

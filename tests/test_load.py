@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from mesh_writer import SHARED
 
 from clrast.errors import ClrastError, InputNotFoundError, SceneError
 from clrast.scene.load import check_scene, load
-from clrast.scene.model import Scene
+from clrast.scene.model import Material, Scene, Texture, TextureUse
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
@@ -123,6 +124,38 @@ def test_the_largest_float32_passes_and_what_rounds_beyond_it_does_not():
 def test_check_scene_refuses(triangles, more, what):
     with pytest.raises(SceneError, match=what):
         check_scene(scene_of([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]], triangles, **more), "a")
+
+
+TEXELS = np.zeros((2, 2, 4), np.uint8)
+TEXTURED = (Material(emissive_texture=TextureUse(1)),)
+
+
+@pytest.mark.parametrize(
+    ("more", "what"),
+    [
+        ({"triangles": np.array([[0, 1, -1]])}, "triangle 0 has vertex index -1, there are 3"),
+        ({"triangles": [[0, 1, 2]]}, "triangles is no numpy array of integers"),
+        ({"triangles": np.array([[0.0, 1.0, 2.0]])}, "triangles is no numpy array of integers"),
+        ({"triangles": np.zeros((1, 4), np.uint32)}, r"triangles has the shape \(1, 4\): give rows of 3"),
+        ({"positions": np.zeros((3, 4))}, r"positions has the shape \(3, 4\): give rows of 3"),
+        ({"object_ids": np.zeros((1, 1), np.uint32)}, r"object_ids has the shape \(1, 1\): give rows"),
+        ({"material_ids": np.zeros(0, np.uint32)}, "material_ids has 0 rows for 1 triangle entries"),
+        ({"normals": np.zeros((1, 3))}, "normals has 1 rows for 3 vertex entries"),
+        ({"uv": np.zeros((3, 3))}, r"uv has the shape \(3, 3\): give rows of 2"),
+        ({"colors": np.zeros((4, 4))}, "colors has 4 rows for 3 vertex entries"),
+        ({"materials": TEXTURED}, "material 'default' has texture 1, there are 0"),
+        ({"materials": TEXTURED, "textures": (Texture("t", TEXELS),)}, "has texture 1, there are 1"),
+        ({"textures": (Texture("t", TEXELS[:0]),)}, r"texture 't' is uint8 \(0, 2, 4\)"),
+        ({"textures": (Texture("t", TEXELS[0]),)}, r"texture 't' is uint8 \(2, 4\)"),
+        ({"textures": (Texture("t", TEXELS / 2),)}, "texture 't' is float64"),
+    ],
+)
+def test_check_scene_refuses_arrays_that_do_not_fit(more, what):
+    """A scene made by hand: what a kernel would read is there, or it is refused."""
+    good = scene_of([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]], [0, 1, 2])
+    assert check_scene(good, "a").triangle_count == 1
+    with pytest.raises(SceneError, match=what):
+        check_scene(replace(good, **more), "a")
 
 
 def test_check_scene_refuses_nan_and_infinity_where_faces_use_them():

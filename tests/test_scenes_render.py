@@ -7,8 +7,11 @@ picture is said by exact_visibility.py and by float64 arithmetic on the scene's 
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -277,3 +280,34 @@ def test_whole_process(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[s
     (tmp_path / "here").mkdir()
     render(SHARED / name, tmp_path / "here", capfd)
     assert (tmp_path / "p.exr").read_bytes() == (tmp_path / "here" / "a.exr").read_bytes()
+
+
+def test_interrupted_process_leaves_what_was_there(tmp_path: Path) -> None:
+    """Ctrl-C in the midst of a render: exit 130, one line, no file but the older image."""
+    image = tmp_path / "a.exr"
+    image.write_text("an older image")
+    words = [sys.executable, "-m", "clrast", "render", str(ROOT / "data" / "room.toml"), "-q", "--repeat", "1000000"]
+    words += ["--size", "64x48", "-o", str(image), "-o", str(tmp_path / "b.png"), "--stats", str(tmp_path / "a.json")]
+    process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    time.sleep(2)
+    assert process.poll() is None, process.communicate()
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=300) == ("", "clrast: error: interrupted\n")
+    assert process.returncode == 130
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr"] and image.read_text() == "an older image"
+
+
+def test_without_a_home_or_a_cache(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """No HOME, and caches that cannot be made: the same bytes, and not a word."""
+    (tmp_path / "file").write_text("")
+    (tmp_path / "here").mkdir()
+    source = ROOT / "data" / "cube.toml"
+    render(source, tmp_path / "here", capfd)
+    image = tmp_path / "a.exr"
+    environment = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CACHE_HOME")}
+    environment |= {"CLRAST_CACHE_DIR": str(tmp_path / "file" / "cache"), "POCL_CACHE_DIR": str(tmp_path / "pocl")}
+    words = [sys.executable, "-m", "clrast", "render", str(source), "-q", "-o", str(image)]
+    words += ["--size", "64x48", "--aov", "all"]
+    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert image.read_bytes() == (tmp_path / "here" / "a.exr").read_bytes()

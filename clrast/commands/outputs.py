@@ -14,8 +14,6 @@ from clrast.options import did_you_mean
 if TYPE_CHECKING:
     from clrast.image.frame import Frame
 
-COLOR_CHANNELS = ("R", "G", "B", "A")
-
 
 @dataclass
 class Outputs:
@@ -55,11 +53,11 @@ class Outputs:
         if self.stats is not None and not _is_stream(self.stats):
             check_writable(self.stats, suffixes=None)
 
-    def prepare_images(self, frame: Frame, without_color: bool) -> None:
-        """Write every image beside its target. `without_color` : EXR files leave the colour channels out."""
+    def prepare_images(self, frame: Frame, exr_frame: Frame) -> None:
+        """Write every image beside its target: EXR files take `exr_frame`, pictures take `frame`."""
         for path in self.images:
             real = _real(path)
-            kept = _without_color(frame) if without_color and _suffix(path) == ".exr" else frame
+            kept = exr_frame if _suffix(path) == ".exr" else frame
             temporary = self._beside(real)
             try:
                 kept.save(temporary)
@@ -129,8 +127,3 @@ def _is_stream(path: str) -> bool:
     except (OSError, ValueError):
         return False
     return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)
-
-
-def _without_color(frame: Frame) -> Frame:
-    kept = {name: channel for name, channel in frame.channels.items() if name not in COLOR_CHANNELS}
-    return type(frame)(kept, frame.header, frame.stats)

@@ -18,7 +18,7 @@ from clrast.commands.request import Request, make_request
 from clrast.commands.stats import complete_stats, report_lines, summary, to_json
 from clrast.commands.viewpoint import VIEW_NAMES, View, make_view
 from clrast.errors import EXIT_OK, InputNotFoundError, OutputError, UsageError
-from clrast.options import OPTION_NAMES, make_options
+from clrast.options import OPTION_NAMES, RenderOptions, effects_text, make_options
 
 if TYPE_CHECKING:
     from clrast.image.frame import Frame
@@ -142,20 +142,21 @@ def check_input(path: str) -> None:
 
 
 def _render_and_write(job: Job) -> dict[str, Any]:
-    """Load, render, write; returns the complete stats."""
+    """Load, render, write; returns the complete stats. Notes come last: a failure is its one line alone."""
     with progress(job.quiet) as show:
         show(f"loading {job.source}")
         scene = _load(job)
         request = make_request(scene, job.view, job.given, job.source)
         for line in (*scene.warnings, *request.warnings):
             messages.warn(line)
-        if not job.quiet:
-            for line in request.notes:
-                messages.note(line)
         show(f"rendering {scene.triangle_count} triangles")
-        frame, without_color = _render(scene, request, job)
+        frame, exr_frame = _render(scene, request, job)
         show("writing")
-        return _write(frame, without_color, request, job)
+        stats = _write(frame, exr_frame, request, job)
+    if not job.quiet:
+        for line in request.notes:
+            messages.note(line)
+    return stats
 
 
 def _load(job: Job) -> Scene:
@@ -167,18 +168,30 @@ def _load(job: Job) -> Scene:
     return scene
 
 
-def _render(scene: Scene, request: Request, job: Job) -> tuple[Frame, bool]:
-    """The frame, and whether colour is in it for a PNG alone."""
+def _render(scene: Scene, request: Request, job: Job) -> tuple[Frame, Frame]:
+    """The frame of pictures and the frame of EXR files: the same, unless a PNG alone wants colour."""
     from clrast.renderer import render
 
     options = request.options
-    without_color = job.outputs.has_png and "color" not in options.aov
-    if without_color:
-        options = replace(options, aov=("color", *options.aov))
-    return render(scene, request.camera, options=options), without_color
+    if not job.outputs.has_png or "color" in options.aov:
+        frame = render(scene, request.camera, options=options)
+        return frame, frame
+    frame = render(scene, request.camera, options=replace(options, aov=("color", *options.aov)))
+    return frame, _without_color(frame, scene, options)
 
 
-def _write(frame: Frame, without_color: bool, request: Request, job: Job) -> dict[str, Any]:
+def _without_color(frame: Frame, scene: Scene, options: RenderOptions) -> Frame:
+    """The frame that `options` alone give: no colour, and in the header only the effects that they call for."""
+    from clrast.image.frame import CHANNEL_GROUPS
+    from clrast.shading.effects import plan_effects
+
+    channels = {name: values for name, values in frame.channels.items() if name not in CHANNEL_GROUPS["color"]}
+    plan = plan_effects(scene, options.aov, options.effects)
+    effects = effects_text(effect.name for effect in plan.effects if effect.on)
+    return type(frame)(channels, {**frame.header, "effects": effects}, frame.stats)
+
+
+def _write(frame: Frame, exr_frame: Frame, request: Request, job: Job) -> dict[str, Any]:
     """Put every file in place, or none; returns the complete stats."""
     before = time.perf_counter()
     if request.options.threads is not None and job.outputs.images:
@@ -186,7 +199,7 @@ def _write(frame: Frame, without_color: bool, request: Request, job: Job) -> dic
 
         limit_threads(request.options.threads)
     try:
-        job.outputs.prepare_images(frame, without_color)
+        job.outputs.prepare_images(frame, exr_frame)
     except OSError as fault:
         reason = fault.strerror or fault
         raise OutputError(f"cannot write the image: {reason}: free space or name another file") from None

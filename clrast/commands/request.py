@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from clrast.commands.stats import complete_stats
 from clrast.commands.viewpoint import VIEW_NAMES, Choice, View, choose_camera, make_view
 from clrast.errors import SceneError, UsageError
 from clrast.options import RenderOptions, UnavailableError, make_options, parse_effects
@@ -73,4 +74,8 @@ def render_scene(scene: Scene, camera: Camera | str | int | None, values: Mappin
     request = make_request(scene, view, given, scene.name)
     for line in request.warnings:
         warnings.warn(line, stacklevel=3)
-    return render(scene, request.camera, options=request.options)
+    frame = render(scene, request.camera, options=request.options)
+    stats = complete_stats(frame.stats, request.options, {})
+    frame.stats.clear()
+    frame.stats.update(stats)
+    return frame

@@ -27,7 +27,8 @@ def complete_stats(own: Mapping[str, Any], options: RenderOptions, times_ms: Map
     """The renderer's `own` stats in the design's order, with every key present.
 
     times_ms : what only the command knows (load, write, total), milliseconds. What the renderer does
-    not count is null. Keys that the design does not name follow at the end.
+    not count is null. Times that the design does not name stand apart, in `other_times_ms`; other keys of
+    the renderer follow at the end.
     """
     width, height = options.size
     counts = own.get("counts", {})
@@ -40,8 +41,9 @@ def complete_stats(own: Mapping[str, Any], options: RenderOptions, times_ms: Map
         "mode": options.mode,
         **own,
         "counts": {**{name: counts.get(name) for name in COUNTS}, **counts},
-        "times_ms": {**{name: float(times.get(name, 0.0)) for name in STAGES}, **times},
+        "times_ms": {name: float(times.get(name, 0.0)) for name in STAGES},
         "effects": _effects(own),
+        "other_times_ms": {name: float(spent) for name, spent in times.items() if name not in STAGES},
     }
     stats = {name: known.pop(name, None) for name in KEYS}
     return _plain({**stats, **known})
@@ -60,8 +62,9 @@ def report_lines(stats: Mapping[str, Any]) -> list[str]:
     widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
     lines = [f"{name:<{widths[0]}}  {state:<{widths[1]}}  {reason}" for name, state, reason in rows]
     lines += ["", f"{'stage':<10}  {'ms':>9}"]
-    more = [stage for stage in stats["times_ms"] if stage not in STAGES]
-    lines += [f"{stage:<10}  {stats['times_ms'][stage]:9.2f}" for stage in (*STAGES[:-1], *more, STAGES[-1])]
+    times = {**stats["times_ms"], **stats["other_times_ms"]}
+    total = times.pop("total")
+    lines += [f"{stage:<10}  {spent:9.2f}" for stage, spent in (*times.items(), ("total", total))]
     return lines
 
 

@@ -147,6 +147,10 @@ def matching(devices: list[ListedDevice], selector: str | None) -> list[ListedDe
     wanted = selector.strip().lower()
     if re.fullmatch(r"\d+:\d+", wanted):
         return [d for d in devices if d.index == wanted]
+    if wanted.isdigit():  # a platform by its number, never a digit of some version
+        return preferred([d for d in devices if d.index.split(":")[0] == wanted])
+    if wanted in ("cpu", "gpu"):
+        return preferred([d for d in devices if d.kind == wanted])
     texts: tuple[Callable[[ListedDevice], Any], ...] = (
         lambda d: [d.runtime],
         lambda d: f"{d.platform} {d.version}".lower(),

@@ -111,8 +111,9 @@ def check_scene(scene: Scene, path: str | Path) -> Scene:
     """The scene with float32 positions, if it can be rendered; `path` is named in errors.
 
     Raises SceneError for: no triangle, an index out of range, a vertex that a triangle uses and that
-    is NaN, infinite or beyond float32. Vertices that no triangle uses become 0, 0, 0 where they are
-    not finite; so do normals and texture coordinates, and colours white, with a warning.
+    is NaN, infinite or beyond float32, and, in a scene made by hand, arrays that do not fit together.
+    Vertices that no triangle uses become 0, 0, 0 where they are not finite; so do normals and texture
+    coordinates, and colours white, with a warning.
     """
     scene = check_mesh(scene, path)
     if scene.positions.dtype == np.float32:
@@ -134,7 +135,9 @@ def check_scene(scene: Scene, path: str | Path) -> Scene:
 def check_mesh(scene: Scene, path: str | Path) -> Scene:
     """As `check_scene`, but positions keep their dtype: for meshes that are yet to be placed."""
     shown = show_path(path)
+    _check_arrays(scene, shown)
     _check_counts(scene, shown)
+    _check_textures(scene, shown)
     finite = np.isfinite(scene.positions).all(axis=1)
     positions = scene.positions
     if not finite.all():
@@ -160,6 +163,43 @@ def check_mesh(scene: Scene, path: str | Path) -> Scene:
         colors=_finite_rows(scene.colors, 1.0, "vertex colours are not finite: taken as white", warnings),
         warnings=tuple(warnings),
     )
+
+
+_ARRAYS = (
+    ("positions", 3, "f", ""), ("triangles", 3, "iu", ""),
+    ("object_ids", 0, "iu", "triangle"), ("material_ids", 0, "iu", "triangle"),
+    ("normals", 3, "f", "vertex"), ("uv", 2, "f", "vertex"), ("uv1", 2, "f", "vertex"), ("colors", 4, "f", "vertex"),
+)  # fmt: skip
+"""Arrays of a Scene: values in a row (0: one alone), kinds of numpy dtypes, and of what there is a row each."""
+
+
+def _check_arrays(scene: Scene, shown: str) -> None:
+    for name, width, kinds, each in _ARRAYS:
+        array = getattr(scene, name)
+        if array is None and each == "vertex":
+            continue
+        what = "floats" if kinds == "f" else "integers"
+        row = f" of {width}" if width else ""
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in kinds:
+            raise SceneError(f"{shown}: {name} is no numpy array of {what}: make it one")
+        if array.ndim != (2 if width else 1) or (width and array.shape[1] != width):
+            raise SceneError(f"{shown}: {name} has the shape {array.shape}: give rows{row}")
+        count = scene.triangle_count if each == "triangle" else scene.vertex_count
+        if each and len(array) != count:
+            raise SceneError(f"{shown}: {name} has {len(array)} rows for {count} {each} entries: give one for each")
+
+
+def _check_textures(scene: Scene, shown: str) -> None:
+    for material in scene.materials:
+        for use in (material.base_color_texture, material.emissive_texture):
+            if use is not None and not 0 <= use.texture < len(scene.textures):
+                there = f"there are {len(scene.textures)}"
+                raise SceneError(f"{shown}: material '{material.name}' has texture {use.texture}, {there}: repair it")
+    for texture in scene.textures:
+        texels = texture.texels
+        if texels.dtype != np.uint8 or texels.ndim != 3 or texels.shape[2] != 4 or texels.size == 0:
+            have = f"{texels.dtype} {texels.shape}"
+            raise SceneError(f"{shown}: texture '{texture.name}' is {have}: give uint8 (height, width, 4)")
 
 
 def _check_counts(scene: Scene, shown: str) -> None:

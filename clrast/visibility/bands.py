@@ -35,26 +35,33 @@ class BandPlan:
 
 
 def plan_bands(
-    view: np.ndarray, tile_log2: int, *, fixed_bytes: int, pixel_bytes: int, budget: int | None, limited: bool
+    view: np.ndarray,
+    tile_log2: int,
+    *,
+    fixed_bytes: int,
+    pixel_bytes: int,
+    piece_bytes: int,
+    budget: int,
+    max_piece: int,
+    limited: bool,
 ) -> BandPlan:
-    """As few bands as fit `budget` bytes (None: no bound).
+    """As few bands as fit `budget` bytes, and `max_piece` bytes in each buffer.
 
-    fixed_bytes : what the scene takes whatever the band. limited : on drivers that limit loops.
-    Raises CapacityError where not even one tile row fits.
+    fixed_bytes : what the scene takes whatever the band. piece_bytes : what a pixel takes in the largest
+    buffer. limited : on drivers that limit loops. Raises CapacityError where not even one tile row fits.
     """
     tile_rows, columns = int(view["tile_rows"]), int(view["tile_columns"])
     width, height = int(view["width"]), int(view["height"])
     row_bytes = (width << tile_log2) * pixel_bytes
     band_rows = tile_rows
-    if budget is not None:
-        left = int((budget - fixed_bytes) * (1 - REFERENCE_SHARE))
-        if left < row_bytes:
-            least = fixed_bytes + int(row_bytes / (1 - REFERENCE_SHARE))
-            raise CapacityError(
-                f"--memory {budget} is too small: the scene takes {fixed_bytes} bytes and one row of tiles "
-                f"{row_bytes}: give at least {least}"
-            )
-        band_rows = min(band_rows, left // row_bytes)
+    left = int((budget - fixed_bytes) * (1 - REFERENCE_SHARE))
+    if left < row_bytes:
+        least = fixed_bytes + int(row_bytes / (1 - REFERENCE_SHARE))
+        raise CapacityError(
+            f"{budget} bytes of device memory are too few: the scene takes {fixed_bytes} and one row of tiles "
+            f"{row_bytes}: --memory must be at least {least}"
+        )
+    band_rows = min(band_rows, left // row_bytes, max(1, max_piece // ((width << tile_log2) * piece_bytes)))
     if limited:
         band_rows = max(1, min(band_rows, MAX_BAND_TILES // columns))
     max_pixels = min(band_rows << tile_log2, height) * width
