@@ -6,9 +6,6 @@
 // Good at: everything that is drawn more than once. Bad at: memory (48 bytes a triangle).
 // Tests: tests/test_rasterizer.py.
 
-// A work-item is one triangle: vectors have one lane here, whatever the device's width.
-#undef VECTOR_WIDTH
-#define VECTOR_WIDTH 1
 #include "vector.clh"
 #include "edge_function.clh"
 

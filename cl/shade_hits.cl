@@ -9,9 +9,6 @@
 // metallic-roughness model; where there are none a headlight, radiance = base colour x cosine.
 // Good at: any number of triangles. Bad at: many lights (each is evaluated). Tests: tests/test_shading.py.
 
-// A work-item is one pixel: vectors have one lane here, whatever the device's width.
-#undef VECTOR_WIDTH
-#define VECTOR_WIDTH 1
 #include "vector.clh"
 #include "edge_function.clh"
 #include "surface.clh"

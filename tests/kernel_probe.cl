@@ -1,6 +1,6 @@
 // Probes of edge_function.clh and pair.clh for tests: what their functions give for given numbers.
 //
-// Arrays are planes of `count` numbers, one lane each. Tests: tests/test_edge_function.py.
+// Arrays are planes of `count` numbers, one lane each. Tests: tests/test_edge_function.py, tests/test_shading.py.
 
 #include "vector.clh"
 #include "edge_function.clh"
@@ -74,15 +74,15 @@ kernel void probe_blocks(
 kernel void probe_pairs(
     uint count,
     global const float *restrict numbers,  // [4][count] a.high a.low b.high b.low
-    global float *restrict results)        // [9][count] sum and product of the highs, of the pairs; quotient
+    global float *restrict results)        // [10][count] sum, product of the highs; sum, product, quotient of the pairs
 {
   const uint i = get_global_id(0);
   if (i >= count) return;
   const Pair a = {numbers[i], numbers[count + i]}, b = {numbers[2 * count + i], numbers[3 * count + i]};
-  const Pair found[4] = {two_sum(a.high, b.high), two_product(a.high, b.high), pair_add(a, b), pair_multiply(a, b)};
-  for (uint k = 0; k < 4; ++k) {
+  const Pair found[5] = {
+      two_sum(a.high, b.high), two_product(a.high, b.high), pair_add(a, b), pair_multiply(a, b), pair_divide(a, b)};
+  for (uint k = 0; k < 5; ++k) {
     results[2 * k * count + i] = found[k].high;
     results[(2 * k + 1) * count + i] = found[k].low;
   }
-  results[8 * count + i] = pair_divide(a, b);
 }

@@ -31,7 +31,7 @@ def run(arguments: list[str]) -> tuple[int, str]:
 def least_memory(arguments: list[str]) -> str:
     """The number of bytes that the command itself names as enough."""
     code, error = run([*arguments, "--memory", "1"])
-    found = re.search(r"give at least (\d+)", error)
+    found = re.search(r"at least (\d+)", error)
     assert code == 75 and found, error
     return found[1]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -237,13 +237,20 @@ def arguments_from_source(source: str, kernel: str) -> list[Argument]:
     return found
 
 
+SCALAR_PROGRAMS = ("prepare_triangles.cl", "shade_hits.cl")
+"""Programs whose work-items are the lanes: vectors have one lane there, whatever the device's width."""
+
+
 def build(device: Device, name: str, features: Features | None = None, folder: Path | None = None) -> Program:
     """The program of `cl/<name>` for this device, built at most once for the features that it reads.
 
     folder : where the file is, in place of the package's own kernels.
     """
     source = _source_once(device, name, folder)
-    defines = (features or Features(vector_width=device.vector_width)).defines(source)
+    features = features or Features(vector_width=device.vector_width)
+    if name in SCALAR_PROGRAMS:
+        features = replace(features, vector_width=1)
+    defines = features.defines(source)
     key = (name, source, defines)
     program = device.programs.get(key)
     if program is None:

@@ -123,6 +123,8 @@ class SurfaceBuffers:
         if textured and uv1 is None and any(_uses_second_uv(material) for material in scene.materials):
             uv1 = uv
         normals = scene.normals if plan["normal interpolation"] else None
+        if plan["normal interpolation"] and normals is None:  # asked for all the same: 0 stands for none
+            normals = np.zeros((scene.vertex_count, 3), np.float32)
         arrays: dict[str, np.ndarray] = {
             "material_ids": scene.material_ids,
             "object_ids": scene.object_ids,
