@@ -51,7 +51,8 @@ static inline float4 incoming(Light light, float4 point, float4 *to_light) {
   return light.intensity * factor;
 }
 
-// glTF 2.0, appendix B: Lambert and GGX with Schlick's Fresnel term; n, v, l unit, n towards the viewer.
+// glTF 2.0, appendix B: Lambert and GGX with Schlick's Fresnel term; masking and shadowing in the height-correlated
+// form that its discussion prefers (Heitz 2014). n, v, l unit, n towards the viewer.
 static inline float4 reflected(float4 base, float metallic, float roughness, float4 n, float4 v, float4 l) {
   const float n_l = dot_f4(n, l), n_v = max(dot_f4(n, v), 1e-4f);
   if (!(n_l > 0.0f)) return (float4)(0.0f);
@@ -146,6 +147,8 @@ static inline Hit find_hit(
 // Radiance towards the viewer; not premultiplied.
 static inline float4 shade(
     Surfaces surfaces, Hit hit, Material material, float4 base, uint light_count, global const Light *lights) {
+  // KHR_materials_unlit: the base colour is all that counts of such a material, not its emission.
+  if (material.flags & MATERIAL_UNLIT) return base;
   float4 radiance = (float4)(0.0f);
 #if EMISSION
   float4 emitted = material.emissive;
@@ -158,7 +161,6 @@ static inline float4 shade(
 #endif
   radiance += emitted;
 #endif
-  if (material.flags & MATERIAL_UNLIT) return radiance + base;
   const float4 to_viewer = -unit(hit.direction);
   const float side = dot_f4(hit.geometric_normal, to_viewer) < 0.0f ? -1.0f : 1.0f;
   const float4 n = hit.shading_normal * side;
