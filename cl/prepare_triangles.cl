@@ -15,6 +15,9 @@ kernel void prepare_triangles(
     uint triangle_count,
     global const float4 *restrict positions,  // [vertex_count] world space times world_scale
     global const uint *restrict indices,      // [3 * triangle_count] vertices
+#if ALPHA_MASK
+    global uint *restrict corner_vertices,    // [3 * triangle_count] the vertices that the corners are
+#endif
     global float4 *restrict corners)          // [3 * triangle_count]
 {
   const uint prim_id = get_global_id(0);
@@ -23,6 +26,10 @@ kernel void prepare_triangles(
   const float4 a = positions[vertices[0]], b = positions[vertices[1]], c = positions[vertices[2]];
   const Vec3 p0 = {a.x, a.y, a.z}, p1 = {b.x, b.y, b.z}, p2 = {c.x, c.y, c.z};
   const Triangles t = canonical_triangles(p0, p1, p2);
+#if ALPHA_MASK
+  const uint turn = is_first(p1, p2, p0) ? 1 : (is_first(p2, p0, p1) ? 2 : 0);
+  for (uint i = 0; i < 3; ++i) corner_vertices[3 * (size_t)prim_id + i] = vertices[(i + turn) % 3];
+#endif
   global float4 *own = corners + 3 * (size_t)prim_id;
   own[0] = (float4)(t.p0.x, t.p0.y, t.p0.z, t.normal.x);
   own[1] = (float4)(t.p1.x, t.p1.y, t.p1.z, t.normal.y);

@@ -171,22 +171,33 @@ def check_colors(rendered: Rendered, hit: np.ndarray) -> None:
 
 
 def check_geometry(rendered: Rendered, hit: np.ndarray) -> None:
-    """Depth, distance, position, barycentrics and normals against one another in float64."""
+    """Depth, distance, position, barycentrics and normals in float64, of perspective views.
+
+    e and d : eye and ray, r : corners from the eye; n_i and V_i as in DESIGN section 1.
+    """
     frame, scene = rendered.frame, rendered.scene
     corners = scene.positions[scene.triangles[frame["id.prim"][hit]]].astype(np.float64)
-    eye = rendered.stats["camera"].get("e") or rendered.stats["camera"]["e0"]
-    # the largest number that a position is a difference of; 8 float32 roundings of half an ulp each
-    magnitude = max(abs(corners).max(), *map(abs, eye))
-    u, v = (frame[f"bary.{name}"][hit].astype(np.float64)[:, None] for name in "UV")
-    assert min(u.min(), v.min(), (1 - u - v).min()) >= -(2.0**-20)
-    interpolated = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
-    assert abs(vectors(frame, "P", hit) - interpolated).max() <= magnitude * 2**-21
-    distance = frame["Z"][hit] * length(vectors(frame, "ray", hit))
-    np.testing.assert_allclose(frame["distance.Y"][hit], distance, rtol=2**-21)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    e, d0, dx, dy = (np.array(rendered.stats["camera"][name]) for name in ("e", "d0", "dx", "dy"))
+    row, column = np.nonzero(hit)
+    d = d0 + (column[:, None] + 0.5) * dx + (row[:, None] + 0.5) * dy
+    # t, t * d and the sum: three roundings of half an ulp
+    position = e + frame["Z"][hit].astype(np.float64)[:, None] * d
+    magnitude = abs(e).max() + abs(position - e).max(axis=1)
+    assert (abs(vectors(frame, "P", hit) - position).max(axis=1) <= magnitude * 2**-22).all()
+    np.testing.assert_allclose(frame["distance.Y"][hit], frame["Z"][hit] * length(d), rtol=2**-21)
+    # each V_i within a few 2^-24 of |r| times the edge's length, their sum being what it is
+    r = corners - e
+    edges = [length(corners[:, (i + 2) % 3] - corners[:, (i + 1) % 3]) for i in range(3)]
+    values = [(np.cross(r[:, (i + 2) % 3], r[:, (i + 1) % 3]) * d).sum(axis=1) for i in range(3)]
+    doubt = sum(length(r[:, (i + 1) % 3]) * edges[i] for i in range(3)) * length(d)
+    for i, name in ((1, "bary.U"), (2, "bary.V")):
+        error = abs(frame[name][hit] - values[i] / sum(values))
+        assert (error <= 2**-22 * doubt / abs(sum(values)) + 2**-22).all(), name
+    assert min(frame["bary.U"].min(), frame["bary.V"].min(), 1 - (frame["bary.U"] + frame["bary.V"]).max()) >= -(2**-20)
     # edges are rounded by up to half an ulp of a coordinate; a triangle of small angle turns more for it
-    edges = length(corners[:, 1] - corners[:, 0]) * length(corners[:, 2] - corners[:, 0])
-    slack = 2**-20 * edges / length(normals) * np.maximum(1, abs(corners).max(axis=(1, 2)) / np.sqrt(edges))
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sides = edges[1] * edges[2]
+    slack = 2**-20 * sides / length(normals) * np.maximum(1, abs(corners).max(axis=(1, 2)) / np.sqrt(sides))
     assert (length(vectors(frame, "Ng", hit) - normals / length(normals)[:, None]) <= slack).all()
     np.testing.assert_allclose(length(vectors(frame, "N", hit)), 1, atol=2**-21)
 

@@ -67,7 +67,11 @@ def render_scene(scene: Scene, camera: Camera | str | int | None, values: Mappin
     import warnings
 
     from clrast.renderer import render
+    from clrast.scene.load import check_scene
 
+    if not isinstance(scene, Scene):
+        raise UsageError(f"render takes a scene, not {type(scene).__name__}: give what clrast.load returns")
+    scene = check_scene(scene, scene.name)
     given = {name: value for name, value in values.items() if name not in VIEW_NAMES}
     make_options(given)
     view = make_view({"camera": camera, **{name: values[name] for name in VIEW_NAMES if name in values}})

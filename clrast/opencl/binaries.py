@@ -20,6 +20,10 @@ MOST_BINARIES = 300
 """Files in the cache; a program takes 60 to 300 KB."""
 
 
+DIGEST_BYTES = 32
+"""A SHA-256 stands in front of every stored binary."""
+
+
 def build_options(handle: Any, defines: tuple[str, ...] = ()) -> str:
     """The options of every build on a pyopencl device."""
     import pyopencl as cl
@@ -48,7 +52,7 @@ def build_source(context: Any, handle: Any, source: str, options: str) -> Any:
     path = _binary_path(handle, source, options)
     if path is not None and path.is_file():
         try:
-            program = _raw_build(cl._cl._Program(context, [handle], [path.read_bytes()]), options)
+            program = _raw_build(cl._cl._Program(context, [handle], [_checked(path.read_bytes())]), options)
             os.utime(path)  # `_save_binary` removes those that were not used for longest
             return program
         except Exception:  # a stale or broken binary: build from source and write it anew
@@ -57,6 +61,14 @@ def build_source(context: Any, handle: Any, source: str, options: str) -> Any:
     if path is not None:
         _save_binary(path, program)
     return program
+
+
+def _checked(stored: bytes) -> bytes:
+    """The binary behind its SHA-256: PoCL crashes on a damaged one. Raises ValueError where they disagree."""
+    digest, binary = stored[:DIGEST_BYTES], stored[DIGEST_BYTES:]
+    if hashlib.sha256(binary).digest() != digest:
+        raise ValueError("damaged")
+    return binary
 
 
 def _raw_build(program: Any, options: str) -> Any:
@@ -114,8 +126,13 @@ def _save_binary(path: Path, program: Any) -> None:
         binary = program.get_info(cl.program_info.BINARIES)[0]
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(binary)
-        os.replace(file.name, path)
+            try:
+                file.write(hashlib.sha256(binary).digest() + binary)
+                file.flush()
+                os.replace(file.name, path)
+            except OSError:
+                os.unlink(file.name)
+                raise
         kept = sorted(path.parent.glob("*.bin"), key=lambda p: p.stat().st_mtime)
         for old in kept[:-MOST_BINARIES]:
             old.unlink()

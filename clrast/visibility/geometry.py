@@ -24,6 +24,7 @@ class Geometry:
     positions : [vertex_count] float4, world space times the view's world_scale, for shading
     indices : [3 * triangle_count] uint, for shading
     corners : [3 * triangle_count] float4, as prepare_triangles.cl writes them, for everything else
+    corner_vertices : [3 * triangle_count] uint, the vertices that the corners are, where masks look attributes up
     """
 
     positions: cl.Buffer
@@ -31,11 +32,13 @@ class Geometry:
     corners: cl.Buffer
     triangle_count: int
     vertex_count: int
+    corner_vertices: cl.Buffer | None = None
 
     @property
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return 16 * self.vertex_count + (12 + 48) * self.triangle_count
+        masked_bytes = 0 if self.corner_vertices is None else 12
+        return 16 * self.vertex_count + (12 + 48 + masked_bytes) * self.triangle_count
 
 
 def build_geometry(
@@ -52,6 +55,7 @@ def build_geometry(
     buffer = buffers.upload(device, scaled)
     indices = buffers.upload(device, np.ascontiguousarray(triangles, dtype=np.uint32))
     corners = buffers.create(device, 48 * len(triangles))
+    masks = {"corner_vertices": buffers.create(device, 12 * len(triangles))} if features.alpha_mask else {}
     kernels.build(device, "prepare_triangles.cl", features).launch(
         "prepare_triangles",
         -(-len(triangles) // WORK_GROUP) * WORK_GROUP,
@@ -60,6 +64,7 @@ def build_geometry(
         positions=buffer,
         indices=indices,
         corners=corners,
+        **masks,
     )
     device.queue.finish()
-    return Geometry(buffer, indices, corners, len(triangles), len(positions))
+    return Geometry(buffer, indices, corners, len(triangles), len(positions), **masks)

@@ -54,7 +54,7 @@ class TileRasterizer:
         self.features = features
         self.view = view.copy()
         self.geometry = geometry
-        self.surfaces = {**surfaces, "indices": geometry.indices} if features.alpha_mask else {}
+        self.surfaces = {**surfaces, "indices": geometry.corner_vertices} if features.alpha_mask else {}
         self.launches = 0
         self.reference_count = 0
         self.reference_capacity = 0
