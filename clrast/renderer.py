@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -37,6 +38,9 @@ TILE_LOG2_SMALL, TILE_LOG2_LARGE = 5, 6
 LARGE_IMAGE = 1 << 19
 """Pixels from which on tiles of 64 x 64 are faster than 32 x 32: fewer lists, and still enough for all threads."""
 METHOD = "3dr-binning"
+_ONE_AT_A_TIME = threading.Lock()
+"""Threads share a device's kernels, whose arguments are set before each launch: renders take turns."""
+
 MEMORY_SHARE = 0.75
 """Part of the device's memory that is the budget where --memory names none."""
 
@@ -57,13 +61,14 @@ def render(scene: Scene, camera: Camera | None = None, *, options: RenderOptions
     planned = time.perf_counter()
     device = open_device(options.device, options.threads)
     opened = time.perf_counter()
-    job = RenderJob(device, scene, vectors, options, plan)
-    job.times["plan"] = 1000 * (planned - started)
-    job.times["device"] = 1000 * (opened - planned)
-    frame_count = max(1, options.repeat + (1 if options.repeat else 0))
-    channels = job.allocate()
-    for k in range(frame_count):
-        job.render_frame(channels, first=k == 0 or (k == 1 and options.repeat > 0))
+    with _ONE_AT_A_TIME:
+        job = RenderJob(device, scene, vectors, options, plan)
+        job.times["plan"] = 1000 * (planned - started)
+        job.times["device"] = 1000 * (opened - planned)
+        frame_count = max(1, options.repeat + (1 if options.repeat else 0))
+        channels = job.allocate()
+        for k in range(frame_count):
+            job.render_frame(channels, first=k == 0 or (k == 1 and options.repeat > 0))
     header = resolved_header(options, vectors.named(), [e.name for e in plan.effects if e.on], vectors.projection)
     stats = job.stats()
     stats["times_ms"]["total"] = 1000 * (time.perf_counter() - started)

@@ -24,6 +24,10 @@ PARALLEL_SINE = 1e-7
 """`up` within this sine of the view direction counts as parallel to it."""
 
 
+SMALLEST_TANGENT = 2.0**-100
+"""Below it the inverse axes of a pixel leave float32's range."""
+
+
 def _subtract(a: Vector, b: Vector) -> Vector:
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
@@ -135,6 +139,9 @@ def camera_vectors(camera: Camera, width: int, height: int) -> CameraVectors:
     tangent_y = _scale(up, -2 * half / height)
     corner = _add(_scale(right, -half * width / height), _scale(up, half))
     base = camera.eye if camera.projection == "orthographic" else forward
+    smallest = min(max(map(abs, _float32(tangent))) for tangent in (tangent_x, tangent_y))
+    if smallest < SMALLEST_TANGENT:
+        raise UsageError(f"camera '{camera.name}': its view is too small for float32: give a larger fov or height")
     return CameraVectors(
         projection=camera.projection,
         width=width,
