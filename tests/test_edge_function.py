@@ -90,16 +90,18 @@ def test_a_constant_of_zero_has_no_sign(device: Device, tmp_path: Path) -> None:
             assert set(exclusive.tolist()) == {0, 1}
 
 
+FIRST_BITS: dict[str, np.ndarray] = {}
+"""The first device's answer for each projection."""
+
+
 @pytest.mark.small
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-def test_every_width_and_runtime_gives_the_same_bits(
-    device: Device, tmp_path: Path, projection: str, _first: dict[str, np.ndarray] = {}
-) -> None:
+def test_every_width_and_runtime_gives_the_same_bits(device: Device, tmp_path: Path, projection: str) -> None:
     a, b = random_ends(3, 200)
     for width in (1, 8, 16) if device.runtime == "pocl" else (device.vector_width,):
         probe = Probe(device, tmp_path, vector_width=width, projection=Projection[projection.upper()])
         bits = probe.edges(view_of(projection), a, b)[0].view(np.uint32)
-        np.testing.assert_array_equal(bits, _first.setdefault(projection, bits))
+        np.testing.assert_array_equal(bits, FIRST_BITS.setdefault(projection, bits))
 
 
 # --- accuracy --------------------------------------------------------------------------------------

@@ -272,48 +272,41 @@ def bits(device: Device, scene: Scene, view: CameraVectors, **options: object) -
     return frame["id.prim"].tobytes() + frame["Z"].tobytes()
 
 
-@pytest.fixture(scope="module")
-def first_bits() -> dict[object, bytes]:
-    """The first device's answer for each view: all the others must give the same."""
-    return {}
+FIRST_BITS: dict[object, bytes] = {}
+"""The first device's answer for each view: all the others must give the same. No fixture: pytest runs one device's
+tests of all files before the next device's."""
 
 
-def same_as_first(first_bits: dict[object, bytes], key: object, found: bytes) -> None:
-    assert found == first_bits.setdefault(key, found), key
+def same_as_first(key: object, found: bytes) -> None:
+    assert found == FIRST_BITS.setdefault(key, found), key
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-def test_sizes_runtimes_and_chunks_change_no_bit(
-    device: Device, projection: str, first_bits: dict[object, bytes]
-) -> None:
+def test_sizes_runtimes_and_chunks_change_no_bit(device: Device, projection: str) -> None:
     scene = busy_scene()
     for width, height in SIZES:
         view = oblique(projection, width, height)
         for chunk_count in (32, 7, 1):
             with set_up(chunk_count=chunk_count):
-                same_as_first(first_bits, (projection, width, height), bits(device, scene, view))
+                same_as_first((projection, width, height), bits(device, scene, view))
 
 
 @pytest.mark.parametrize(("projection", "tile_log2"), TILES)
-def test_tile_sizes_change_no_bit(
-    device: Device, projection: str, tile_log2: int, first_bits: dict[object, bytes]
-) -> None:
+def test_tile_sizes_change_no_bit(device: Device, projection: str, tile_log2: int) -> None:
     from kernel_world import settings as set_up
     scene = busy_scene()
     for width, height in SIZES:
         with set_up(tile_log2=tile_log2):
             found = bits(device, scene, oblique(projection, width, height))
-        same_as_first(first_bits, (projection, width, height), found)
+        same_as_first((projection, width, height), found)
 
 
 @pytest.mark.parametrize(("projection", "vector_width"), WIDTHS)
-def test_vector_widths_change_no_bit(
-    device: Device, projection: str, vector_width: int, first_bits: dict[object, bytes]
-) -> None:
+def test_vector_widths_change_no_bit(device: Device, projection: str, vector_width: int) -> None:
     scene = busy_scene()
     for width, height in SIZES:
         found = bits(device, scene, oblique(projection, width, height), vector_width=vector_width)
-        same_as_first(first_bits, (projection, width, height), found)
+        same_as_first((projection, width, height), found)
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
