@@ -27,7 +27,6 @@ VIEWS = [("perspective", rung) for rung in RUNGS] + [("orthographic", "midpoint"
 """Projections and rungs that differ: an orthographic edge normal is the same in all."""
 
 
-
 # --- edges ----------------------------------------------------------------------------------------
 
 
@@ -178,7 +177,7 @@ def dyadic_triangles(seed: int, count: int, side: int) -> tuple[np.ndarray, np.n
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_samples_on_edges_and_vertices_are_decided_as_in_real_arithmetic(
     device: Device, seed: int, projection: str
 ) -> None:
@@ -214,7 +213,7 @@ FANS = [(4, 0.0), (4, math.pi / 4), (4, 1.0), (6, 0.0), (6, 0.3)]
 
 @pytest.mark.parametrize(
     ("count", "phase", "center_depth"),
-    [(*one, depth) for one in FANS for depth in (1.0, 2.0, 0.5)] + [(50, 0.0, 1.0), (50, 0.5, 2.0)],
+    [(*one, depth) for one in FANS for depth in (1.0, 2.0, 0.5)] + [(50, 0.5, 2.0)],
 )
 def test_a_fan_covers_its_hub_and_all_else_just_once(
     device: Device, count: int, phase: float, center_depth: float

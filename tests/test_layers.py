@@ -100,7 +100,7 @@ def test_the_cutoff_itself_is_a_hit(device: Device) -> None:
     """glTF: alpha no less than the cutoff is opaque. No texture: the factor decides for the whole surface."""
     for alpha, cutoff, is_hit in ((0.5, 0.5, True), (0.49, 0.5, False), (1.0, 1.5, False), (0.0, 0.0, True)):
         material = Material("m", (1.0, 1.0, 1.0, alpha), alpha_mode="MASK", alpha_cutoff=cutoff)
-        frame = render(device, layers([2.0], [material]), orthographic(8, 8), aov="id")
+        frame = render(device, layers([2.0], [material]), orthographic(8, 8), aov="id", effects={"textures": "on"})
         assert (frame["id.prim"] != NO_HIT).all() == is_hit, (alpha, cutoff)
 
 
