@@ -14,6 +14,7 @@
 // the cache. Tests: tests/test_rasterizer.py.
 
 #include "vector.clh"
+#include "counters.clh"
 #include "edge_function.clh"
 
 #define TILE_SIZE (1 << TILE_LOG2)
@@ -28,6 +29,9 @@ typedef struct {
   global uint *reference_prims;   // [capacity], or 0 while counting
   global uint *reference_bounds;  // [capacity], likewise
   uint capacity;
+#if COUNTERS
+  Work *work;
+#endif
 } TileSink;
 
 // A triangle and its bound in pixels.
@@ -71,8 +75,16 @@ INLINE int_v blocks_may_hit(TriangleSetup setup, View view, BoundedTriangle s, i
   const float_v y1 = TO_FLOAT_V(min(top + size, s.y1)) - (0.5f + view.center_y);
   int_v may_hit = setup.valid;
 #pragma unroll
-  for (uint i = 0; i < 3; ++i)
-    may_hit &= block_highest(setup.edge[i].c, setup.edge[i].gx, setup.edge[i].gy, x0, y0, x1, y1) >= 0.0f;
+  for (uint i = 0; i < 3; ++i) {
+    const float_v highest = block_highest(setup.edge[i].c, setup.edge[i].gx, setup.edge[i].gy, x0, y0, x1, y1);
+#if EVALUATION == EVALUATION_INCREMENTAL
+    // Sums of up to 2 * INCREMENT_CELL / 4 increments stray from the value: as far as this, and no farther.
+    may_hit &= highest >= -INCREMENT_SLACK * (fabs(setup.edge[i].c) + fabs(setup.edge[i].gx) * view.center_x +
+                                              fabs(setup.edge[i].gy) * view.center_y);
+#else
+    may_hit &= highest >= 0.0f;
+#endif
+  }
   return may_hit;
 }
 
@@ -85,6 +97,9 @@ INLINE void walk_group(
     const int_v row = (tile >> 2) + (group_row << GROUP_LOG2);
     int hit[VECTOR_WIDTH];
     STORE_V(blocks_may_hit(setup, view, s, column << TILE_LOG2, row << TILE_LOG2, TILE_SIZE), hit);
+#if COUNTERS
+    sink.work->edge_evaluations += VECTOR_WIDTH;
+#endif
     for (int lane = 0; lane < VECTOR_WIDTH; ++lane) {
       const int c = ((lane + first) & 3) + (group_column << GROUP_LOG2);
       const int r = ((lane + first) >> 2) + (group_row << GROUP_LOG2);
@@ -103,6 +118,9 @@ static void walk_wide(
   uint prim_id[VECTOR_WIDTH];
   for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) prim_id[lane] = s.prim_id;
   const TriangleSetup setup = setup_triangles_at(gather_triangles(corners, prim_id), view);
+#if COUNTERS
+  sink.work->setups += 1;
+#endif
   const int4 groups = tiles >> GROUP_LOG2;
   const int group_columns = groups.z - groups.x + 1;
   const int group_count = group_columns * (groups.w - groups.y + 1);
@@ -113,6 +131,9 @@ static void walk_wide(
     const int_v row = group / group_columns + groups.y;
     int hit[VECTOR_WIDTH];
     STORE_V(blocks_may_hit(setup, view, s, column * group_size, row * group_size, group_size), hit);
+#if COUNTERS
+    sink.work->edge_evaluations += min(VECTOR_WIDTH, group_count - first);
+#endif
     for (int lane = 0; lane < VECTOR_WIDTH && first + lane < group_count; ++lane) {
       const int g = first + lane;
       if (hit[lane]) walk_group(sink, view, s, setup, tiles, g % group_columns + groups.x, g / group_columns + groups.y);
@@ -198,14 +219,24 @@ kernel void count_tile_triangles(
     global const float4 *restrict corners,   // [3 * triangle_count]
     global const uint *restrict bounds_low,  // [padded triangle_count] x0 | y0 << 16
     global const uint *restrict bounds_high, // [padded triangle_count] x1 | y1 << 16
+#if COUNTERS
+    global ulong *restrict work,             // [chunks * WORK_COUNTER_COUNT] added to
+#endif
     global uint *restrict cursors)           // [chunk_count * tile_stride] triangles of the chunk in the tile
 {
   const uint chunk = get_global_id(0);
   global uint *own = cursors + (size_t)chunk * tile_stride;
   for (uint tile = 0; tile < tile_stride; tile += 16) vstore16((uint16)(0), 0, own + tile);
-  const TileSink sink = {own, 0, 0, 0, 0};
+  TileSink sink = {own, 0, 0, 0, 0};
   const uint begin = chunk * chunk_size;
+#if COUNTERS
+  Work own_work = {0, 0, 0, 0, 0, 0, 0, 0};
+  sink.work = &own_work;
+#endif
   walk_chunk(sink, view, begin, min(begin + chunk_size, triangle_count), bounds_low, bounds_high, corners);
+#if COUNTERS
+  add_work(&own_work, chunk, work);
+#endif
 }
 
 // Reads: cursors (count_tile_triangles). Writes: cursors, as first positions within the tiles' lists;
@@ -256,13 +287,23 @@ kernel void scatter_tile_triangles(
     global const uint *restrict bounds_low,  // [padded triangle_count]
     global const uint *restrict bounds_high, // [padded triangle_count]
     global const uint *restrict tile_begin,  // [tile_stride + 1] where the tiles' lists start
+#if COUNTERS
+    global ulong *restrict work,             // [chunks * WORK_COUNTER_COUNT] added to
+#endif
     global uint *restrict cursors,           // [chunk_count * tile_stride] next position of the chunk in the list
     global uint *restrict reference_prims,   // [reference_capacity] prim_id
     global uint *restrict reference_bounds)  // [reference_capacity] in the tile: x0 | y0 << 8 | x1 << 16 | y1 << 24
 {
   const uint chunk = get_global_id(0);
-  const TileSink sink = {cursors + (size_t)chunk * tile_stride, tile_begin, reference_prims, reference_bounds,
-                         reference_capacity};
+  TileSink sink = {cursors + (size_t)chunk * tile_stride, tile_begin, reference_prims, reference_bounds,
+                   reference_capacity};
   const uint begin = chunk * chunk_size;
+#if COUNTERS
+  Work own_work = {0, 0, 0, 0, 0, 0, 0, 0};
+  sink.work = &own_work;
+#endif
   walk_chunk(sink, view, begin, min(begin + chunk_size, triangle_count), bounds_low, bounds_high, corners);
+#if COUNTERS
+  add_work(&own_work, chunk, work);
+#endif
 }

@@ -18,6 +18,7 @@
 // Tests: tests/test_rasterizer.py (bounds contain every sample that the exact reference covers).
 
 #include "vector.clh"
+#include "counters.clh"
 #include "edge_function.clh"
 
 #define CORNER_CAPACITY 8
@@ -132,13 +133,30 @@ INLINE void bound_crossing_lanes(
   }
 }
 
-// Reads: corners (prepare_triangles). Writes: bounds (for bin_triangles.cl).
+#if NODE_BOUNDS
+// The greatest nearness that a lane's triangle reaches at a sample of its bound: exact, by monotonicity.
+INLINE float_v nearest_in_bound(TriangleSetup setup, View view, uint_v low, uint_v high) {
+  const float_v x0 = TO_FLOAT_V(AS_INT_V(low & 0xffffu)) + (0.5f - view.center_x);
+  const float_v y0 = TO_FLOAT_V(AS_INT_V(low >> 16)) + (0.5f - view.center_y);
+  const float_v x1 = TO_FLOAT_V(AS_INT_V(high & 0xffffu)) - (0.5f + view.center_x);
+  const float_v y1 = TO_FLOAT_V(AS_INT_V(high >> 16)) - (0.5f + view.center_y);
+  return block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, x0, y0, x1, y1);
+}
+#endif
+
+// Reads: corners (prepare_triangles). Writes: bounds (for bin_triangles.cl, refit_nodes.cl, traverse_frusta.cl).
 // Work item: one chunk of triangles. Local memory: 0 bytes.
 kernel void setup_triangles(
     View view,                                // camera and image
     uint triangle_count,
     uint chunk_size,                          // triangles a chunk, a multiple of VECTOR_WIDTH
     global const float4 *restrict corners,    // [3 * triangle_count]
+#if COUNTERS
+    global ulong *restrict work,              // [chunks * WORK_COUNTER_COUNT] added to
+#endif
+#if NODE_BOUNDS
+    global float *restrict nearest,           // [padded triangle_count] greatest nearness of any sample in the bound
+#endif
     global uint *restrict bounds_low,         // [padded triangle_count] x0 | y0 << 16, first column and row
     global uint *restrict bounds_high)        // [padded triangle_count] x1 | y1 << 16, one past the last
 {
@@ -180,7 +198,14 @@ kernel void setup_triangles(
       bound_crossing_lanes(lane_crossing, setup_triangles_at(triangles, view), view, lane_low, lane_high);
       STORE_V(LOAD_V(lane_low), bounds_low + k);
       STORE_V(LOAD_V(lane_high), bounds_high + k);
+#if COUNTERS
+      work[WORK_COUNTER_COUNT * (size_t)get_global_id(0)] += count_lanes(crossing);
+#endif
     }
+#endif
+#if NODE_BOUNDS
+    const TriangleSetup setup = setup_triangles_at(triangles, view);
+    STORE_V(nearest_in_bound(setup, view, LOAD_V(bounds_low + k), LOAD_V(bounds_high + k)), nearest + k);
 #endif
   }
 }

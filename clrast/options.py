@@ -16,6 +16,9 @@ from typing import Any
 
 from clrast import __version__
 from clrast.errors import UsageError
+from clrast.opencl.features import Edges
+from clrast.visibility.methods import AUTO, resolve_method
+from clrast.visibility.oracles import parse_oracle
 
 PRECISIONS = ("fast", "ordered", "midpoint", "double", "fixed", "exact")
 AVAILABLE_PRECISIONS = ("fast", "ordered", "midpoint")
@@ -24,14 +27,13 @@ METHODS = (
     "3dr-frustum-cull", "3dr-frustum-split", "3dr-full", "raycast-bvh", "raycast-grid",
     "raycast-grid-multipass", "raycast-brute",
 )  # fmt: skip
-AVAILABLE_METHODS = ("auto", "3dr-binning")
+AVAILABLE_METHODS = METHODS[: METHODS.index("raycast-grid")] + METHODS[METHODS.index("raycast-brute") :]
 MODES = ("cast", "shadow", "whitted", "path")
 PROJECTIONS = ("perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube")
 AVAILABLE_PROJECTIONS = ("perspective", "orthographic")
 QUALITIES = ("preview", "draft", "final")
-ORACLES = ("is_outside", "is_occluded", "split_frustum", "generate_samples", "binning")
 AOV_GROUPS = ("color", "depth", "distance", "normal", "position", "bary", "uv", "albedo", "ray", "id", "cost")
-AVAILABLE_AOV_GROUPS = AOV_GROUPS[:-1]
+AVAILABLE_AOV_GROUPS = AOV_GROUPS
 EFFECTS = (
     "shadow", "reflection", "refraction", "indirect light", "emission", "textures", "normal interpolation",
     "alpha mask", "alpha blend", "environment", "secondary acceleration structure", "derivatives",
@@ -226,14 +228,13 @@ def _parse_samples(option: str, value: Any) -> int:
 
 
 def _parse_oracle(option: str, value: Any) -> tuple[str, ...]:
-    for text in _texts(option, value):
-        name, equals, _ = text.partition("=")
-        if not equals:
-            raise UsageError(f"{option} {text!r}: give NAME=VALUE, such as split_frustum=never")
-        if name not in ORACLES:
-            raise UsageError(f"{option} {name!r} is unknown: use {listed(ORACLES)}{did_you_mean(name, ORACLES)}")
-        raise UnavailableError(f"{option} is not available in this version; use --method {listed(AVAILABLE_METHODS)}")
-    return ()
+    texts = tuple(_texts(option, value))
+    chosen: dict[str, str] = {}
+    for text in texts:
+        name, _ = parse_oracle(option, text)
+        if chosen.setdefault(name, text) != text:
+            raise UsageError(f"{option} {name} is given as {chosen[name]!r} and as {text!r}: give one")
+    return tuple(chosen.values())
 
 
 def _choice(names: Sequence[str], available: Sequence[str] | None = None) -> Callable[[str, Any], str]:
@@ -265,8 +266,6 @@ def _text(option: str, value: Any) -> str:
 def _parse_counters(option: str, value: Any) -> bool:
     if not isinstance(value, bool):
         raise UsageError(f"{option} {value!r} is unknown: use True or False")
-    if value:
-        raise UnavailableError(f"{option} is not available in this version; use --stats for what is known without")
     return value
 
 
@@ -284,10 +283,10 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "repeat": _count(0, 1_000_000),
     "aa": _parse_antialiasing,
     "shading_rate": _choice(("pixel", "sample")),
-    "evaluation": _choice(("direct", "incremental"), ("direct",)),
+    "evaluation": _choice(("direct", "incremental")),
     "samples": _parse_samples,
     "seed": _count(0, MAX_SEED),
-    "intersection": _choice(("edge", "barycentric"), ("edge",)),
+    "intersection": _choice(("edge", "barycentric")),
     "accelerator": _choice(("auto", "grid", "bvh"), ("auto",)),
     "oracle": _parse_oracle,
     "max_depth": _refused("leave it out, as nothing is traced beyond the first hit"),
@@ -342,6 +341,16 @@ class RenderOptions:
                 object.__setattr__(self, each.name, parsed)
             elif each.default is not None:
                 raise UsageError(f"--{each.name.replace('_', '-')} has no value: leave it out for the default")
+        self._check_together()
+
+    def _check_together(self) -> None:
+        """Raises UsageError where options do not go together."""
+        if self.method != AUTO:
+            resolve_method(self.method, self.oracle, intersection=self.intersection, evaluation=self.evaluation)
+        elif self.oracle:
+            raise UsageError("--oracle changes a method: name it, such as --method 3dr-full")
+        elif self.intersection != "edge":
+            raise UsageError("--intersection barycentric is of --method raycast-brute: give that method")
 
 
 OPTION_NAMES = tuple(each.name for each in fields(RenderOptions))
@@ -387,6 +396,12 @@ def resolved_header(
         "aa": options.aa,
         "effects": effects_text(effects_on),
     }
+    if options.evaluation != "direct":
+        header["evaluation"] = options.evaluation
+    if options.method != AUTO:
+        edges = resolve_method(options.method, (), intersection=options.intersection).edges
+        if edges != Edges.SPATIAL:
+            header["edges"] = edges.name.lower()
     for name, vector in camera_vectors.items():
         x, y, z = (float(component) for component in vector)
         header[f"camera.{name}"] = (x, y, z)

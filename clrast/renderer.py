@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
+import weakref
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from clrast.errors import CapacityError
-from clrast.image.frame import Frame, channels_of
+from clrast.image.frame import CHANNEL_GROUPS, Frame, channels_of
 from clrast.opencl import buffers
 from clrast.opencl.device import Device, open_device
 from clrast.opencl.features import Features, Precision, Projection
@@ -29,15 +30,22 @@ from clrast.shading.effects import EffectPlan, plan_effects
 from clrast.shading.shade import Shader, channel_names
 from clrast.shading.surfaces import MASK_ARGUMENTS, SurfaceBuffers
 from clrast.visibility.bands import BandPlan, plan_bands
+from clrast.visibility.bvh import Bvh, build_bvh
+from clrast.visibility.frusta import FrustumTraversal, stack_capacity
 from clrast.visibility.geometry import build_geometry
 from clrast.visibility.loop_limits import loop_limit
-from clrast.visibility.tiles import BOUND_BYTES, TileRasterizer
+from clrast.visibility.methods import AUTO, Method, resolve_method
+from clrast.visibility.screen_bounds import BOUND_BYTES
+from clrast.visibility.tiles import TileRasterizer
 from clrast.visibility.view import build_view
+from clrast.visibility.work import COST_PLANES, WorkCounters
 
 TILE_LOG2_SMALL, TILE_LOG2_LARGE = 5, 6
 LARGE_IMAGE = 1 << 19
 """Pixels from which on tiles of 64 x 64 are faster than 32 x 32: fewer lists, and still enough for all threads."""
-METHOD = "3dr-binning"
+MAX_FRUSTUM_LOG2_OF_SCALARS = 5
+"""Largest root frustum where a work item takes one sample at a time: it is such devices' only parallelism."""
+DEFAULT_METHOD = "3dr-binning"
 _ONE_AT_A_TIME = threading.Lock()
 """Threads share a device's kernels, whose arguments are set before each launch: renders take turns."""
 
@@ -75,18 +83,55 @@ def render(scene: Scene, camera: Camera | None = None, *, options: RenderOptions
     return Frame(channels, header, stats)
 
 
+_HIERARCHIES: dict[int, tuple[weakref.ref[Scene], Bvh, float]] = {}
+
+
+def hierarchy_of(scene: Scene) -> tuple[Bvh, float]:
+    """The BVH over a scene's triangles and the milliseconds that its build took; built once for a scene object."""
+    found = _HIERARCHIES.get(id(scene))
+    if found is None or found[0]() is not scene:
+        started = time.perf_counter()
+        bvh = build_bvh(scene.positions, scene.triangles)
+        found = (weakref.ref(scene), bvh, 1000 * (time.perf_counter() - started))
+        for key in [key for key, each in _HIERARCHIES.items() if each[0]() is None]:
+            del _HIERARCHIES[key]
+        _HIERARCHIES[id(scene)] = found
+    return found[1], found[2]
+
+
+def choose_method(options: RenderOptions) -> Method:
+    """The method that the options ask for."""
+    name = DEFAULT_METHOD if options.method == AUTO else options.method
+    return resolve_method(name, options.oracle, intersection=options.intersection, evaluation=options.evaluation)
+
+
+def square_log2(device: Device, method: Method, pixel_count: int) -> int:
+    """Side of the tiles or root frusta that a work item takes, as a power of two."""
+    if method.tiles:
+        large = pixel_count >= LARGE_IMAGE and loop_limit(device) is None
+        return TILE_LOG2_LARGE if large else TILE_LOG2_SMALL
+    side_log2 = method.frustum.bit_length() - 1
+    return side_log2 if device.vector_width > 1 else min(side_log2, MAX_FRUSTUM_LOG2_OF_SCALARS)
+
+
 def make_features(
-    device: Device, scene: Scene, vectors: CameraVectors, options: RenderOptions, plan: EffectPlan
+    device: Device,
+    scene: Scene,
+    vectors: CameraVectors,
+    options: RenderOptions,
+    plan: EffectPlan,
+    method: Method,
+    bvh: Bvh | None,
 ) -> Features:
     """The build options of all kernels of one render."""
-    large = options.size[0] * options.size[1] >= LARGE_IMAGE and loop_limit(device) is None
-    tile_log2 = TILE_LOG2_LARGE if large else TILE_LOG2_SMALL
-    return Features(
+    tile_log2 = square_log2(device, method, options.size[0] * options.size[1])
+    limited = loop_limit(device) is not None
+    return method.configure(Features(
         vector_width=device.vector_width,
         tile_log2=tile_log2,
         precision=Precision[options.precision.upper()],
         projection=Projection[vectors.projection.upper()],
-        keep_nearness=plan["alpha blend"] or loop_limit(device) is not None,
+        keep_nearness=plan["alpha blend"] or limited,
         prefetch=device.runtime in PREFETCHING,
         alpha_mask=plan["alpha mask"],
         alpha_blend=plan["alpha blend"],
@@ -95,7 +140,12 @@ def make_features(
         emission=plan["emission"],
         vertex_colors=scene.colors is not None,
         lit=bool(scene.lights),
-    )
+        counters=options.counters or "cost" in options.aov,
+        node_bounds=not method.tiles,
+        leaf_order=method.needs_bvh,
+        stack_capacity=stack_capacity(bvh.depth, tile_log2) if bvh is not None else 1,
+        resumable=not method.tiles and limited,
+    ))
 
 
 class RenderJob:
@@ -106,14 +156,16 @@ class RenderJob:
     ) -> None:
         self.device, self.scene, self.vectors, self.options, self.plan = device, scene, vectors, options, plan
         self.times: dict[str, float] = {}
-        self.features = make_features(device, scene, vectors, options, plan)
+        self.method = choose_method(options)
+        bvh, self.times["build"] = hierarchy_of(scene) if self.method.needs_bvh else (None, 0.0)
+        self.features = make_features(device, scene, vectors, options, plan, self.method, bvh)
         self.tile_log2 = self.features.tile_log2
         low, high = scene.bounding_box()
         self.view = build_view(vectors, low, high, self.tile_log2)
         self.groups = tuple(group for group in options.aov if group != "cost")
         started = time.perf_counter()
         self.geometry = build_geometry(
-            device, self.features, scene.positions, scene.triangles, float(self.view["world_scale"])
+            device, self.features, scene.positions, scene.triangles, float(self.view["world_scale"]), bvh
         )
         self.times["prepare"] = 1000 * (time.perf_counter() - started)
         started = time.perf_counter()
@@ -122,9 +174,8 @@ class RenderJob:
         self.scene_bytes = self.geometry.nbytes + self.surfaces.nbytes
         self.bands = self._plan_bands()
         started = time.perf_counter()
-        self.tiles = TileRasterizer(
-            device, self.features, self.view, self.geometry, self.surfaces.named(*MASK_ARGUMENTS), self.bands.band_rows
-        )
+        self.work = WorkCounters(device, self.bands.max_pixels) if self.features.counters else None
+        self.tiles = self._make_visibility()
         self.shader = Shader(
             device,
             self.features,
@@ -138,12 +189,21 @@ class RenderJob:
         self.hit_count = 0
         self.launches = self.passes = self.reference_peak = self.band_count = 0
 
+    def _make_visibility(self) -> TileRasterizer | FrustumTraversal:
+        masks = self.surfaces.named(*MASK_ARGUMENTS)
+        common = (self.view, self.geometry, masks, self.bands.band_rows, self.work)
+        if self.method.tiles:
+            return TileRasterizer(self.device, self.features, *common)
+        return FrustumTraversal(self.device, self.features, self.method, *common)
+
     def _plan_bands(self) -> BandPlan:
         per_pixel = 4 + Shader.bytes_per_pixel(self.groups)
         if self.features.keep_nearness:
             per_pixel += 4
         if self.plan["alpha blend"]:
             per_pixel += 8
+        if self.features.counters:
+            per_pixel += 4 * COST_PLANES
         return plan_bands(
             self.view,
             self.tile_log2,
@@ -175,6 +235,8 @@ class RenderJob:
         self._frame_times: dict[str, float] = {}
         self.hit_count = self.passes = self.band_count = 0
         self.launches = -self.tiles.launches - self.shader.launches
+        if self.work is not None:
+            self.work.clear()
         self._timed("setup", self.tiles.setup)
         for row, rows in self.bands:
             self._render_band(channels, row, rows)
@@ -184,16 +246,18 @@ class RenderJob:
 
     def _render_band(self, channels: dict[str, np.ndarray], row: int, rows: int) -> None:
         width, height = self.options.size
-        references = self._timed("bin", partial(self._count_references, row, rows))
+        references = self._timed("bin", partial(self.tiles.start_band, row, rows))
         if self.options.memory is not None and self.bytes_device() > self.options.memory:
             self._split_band(channels, row, rows)
             return
-        self._timed("bin", self.tiles.scatter_references)
+        self._timed("bin", self.tiles.finish_lists)
         self.reference_peak = max(self.reference_peak, references)
         self.band_count += 1
         first_row = row << self.tile_log2
         row_count = min(rows << self.tile_log2, height - first_row)
         pixel_count = row_count * width
+        if self.work is not None:
+            self.work.clear_cost()
         self._timed("visibility", self.tiles.rasterize)
         self.passes += 1
         self._timed("shade", lambda: self.shader.shade(self.tiles.view, self.tiles.visible_prims, pixel_count, 0))
@@ -201,10 +265,9 @@ class RenderJob:
         if self.plan["alpha blend"]:
             self._render_layers(pixel_count)
         self._timed("resolve", lambda: self.shader.read(channels, first_row, row_count, width))
-
-    def _count_references(self, row: int, rows: int) -> int:
-        self.tiles.count_references(row, rows)
-        return self.tiles.read_reference_count()
+        if self.work is not None and "cost" in self.options.aov:
+            costs = tuple(channels[name] for name in CHANNEL_GROUPS["cost"])
+            self.work.read_cost(costs, first_row, row_count, pixel_count)
 
     def _split_band(self, channels: dict[str, np.ndarray], row: int, rows: int) -> None:
         """Two bands in place of one whose lists do not fit the budget."""
@@ -247,15 +310,25 @@ class RenderJob:
             + self.tiles.list_bytes()
         )
 
+    def work_counts(self) -> tuple[dict[str, int], dict[str, int]]:
+        """What the counters found: entries of `counts` and of `other_counts`; empty where they are off."""
+        if self.work is None:
+            return {}, {}
+        found = self.work.collect()
+        known = {name: found.pop(name) for name in ("setups", "edge_evaluations", "traversal_steps")}
+        known["intersection_tests"] = found.pop("samples_tested")
+        return known, found
+
     def stats(self) -> dict[str, Any]:
         """The stats of DESIGN section 2; what is not counted is None."""
+        counted, more_counted = self.work_counts()
         width, height = self.options.size
         triangles = self.scene.triangle_count
         return {
             "camera": self.vectors.named(),
             "image": {"width": width, "height": height},
             "device": {"name": self.device.name, "platform": self.device.platform, "version": self.device.version},
-            "method": METHOD,
+            "method": self.method.name,
             "method_requested": self.options.method,
             "precision": self.options.precision,
             "aa": self.options.aa,
@@ -271,11 +344,12 @@ class RenderJob:
                 "rays_reflection": 0,
                 "rays_refraction": 0,
                 "rays_indirect": 0,
-                "traversal_steps": 0,
+                "traversal_steps": 0 if not self.method.needs_bvh else None,
                 "kernel_launches": self.launches,
                 "passes": self.passes,
+                **counted,
             },
-            "other_counts": {"bands": self.band_count, "tile_references": self.reference_peak},
+            "other_counts": {"bands": self.band_count, "tile_references": self.reference_peak, **more_counted},
             "times_ms": {
                 **{stage: 0.0 for stage in ("build", "setup", "bin", "visibility", "shade", "resolve", "plan")},
                 **self.times,

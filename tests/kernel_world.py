@@ -18,7 +18,7 @@ from clrast.options import make_options
 from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Material, Scene
 from clrast.shading.effects import plan_effects
-from clrast.visibility import tiles
+from clrast.visibility import screen_bounds
 
 NO_HIT = layout.NO_HIT
 
@@ -96,12 +96,12 @@ def with_material(scene: Scene, **fields: Any) -> Scene:
 @contextmanager
 def settings(tile_log2: int = 5, chunk_count: int | None = None) -> Iterator[None]:
     """Tile size and number of chunks meanwhile; no pixel may depend on either."""
-    before = renderer.TILE_LOG2_SMALL, tiles.CHUNK_COUNT
-    renderer.TILE_LOG2_SMALL, tiles.CHUNK_COUNT = tile_log2, chunk_count or tiles.CHUNK_COUNT
+    before = renderer.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT
+    renderer.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT = tile_log2, chunk_count or screen_bounds.CHUNK_COUNT
     try:
         yield
     finally:
-        renderer.TILE_LOG2_SMALL, tiles.CHUNK_COUNT = before
+        renderer.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT = before
 
 
 def start(device: Device, scene: Scene, view: CameraVectors, **options: Any) -> tuple[renderer.RenderJob, Frame]:
@@ -160,7 +160,7 @@ def rasterize(
     assert job.band_count == 1
     columns = -(-view.width // (1 << tile_log2))
     lists = {(k // columns, k % columns): found for k, found in enumerate(job.tiles.tile_lists())}
-    return Raster(frame["id.prim"], job.tiles.bounds(), lists, job.tiles.read_reference_count(), 1 << tile_log2)
+    return Raster(frame["id.prim"], job.tiles.bounds.read(), lists, job.tiles.read_reference_count(), 1 << tile_log2)
 
 
 def coverage(device: Device, scene: Scene, view: CameraVectors, **options: Any) -> np.ndarray:

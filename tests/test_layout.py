@@ -181,10 +181,10 @@ def test_kernel_files_keep_the_house_rules(path: Path) -> None:
 
 FLOORS = (
     "errors",
-    "options",
     "opencl",
     "scene",
     "visibility",
+    "options",
     "shading",
     "image",
     "renderer",

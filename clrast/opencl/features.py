@@ -26,6 +26,15 @@ class Projection(IntEnum):
     LATLONG = 3
 
 
+class Edges(IntEnum):
+    """How the three edge functions of a triangle are found (EDGES_* in layout.py)."""
+
+    SPATIAL = 0
+    PROJECTED = 1
+    HOMOGENEOUS = 2
+    BARYCENTRIC = 3
+
+
 @dataclass(frozen=True)
 class Features:
     """Build options of all programs. Each field becomes the macro of its upper-case name.
@@ -38,9 +47,20 @@ class Features:
     tile_log2: int = 5  # tiles have 2**tile_log2 samples a side
     precision: Precision = Precision.MIDPOINT
     projection: Projection = Projection.PERSPECTIVE
+    edges: Edges = Edges.SPATIAL
     keep_nearness: bool = False  # a tile's nearness goes to memory: split launches, layers behind BLEND surfaces
     prefetch: bool = False  # the compiler's prefetch, on CPUs whose own OpenCL prefetch() does nothing
     counters: bool = False
+    evaluation: int = 0  # EVALUATION_* of layout.py
+    is_outside: int = 0  # the oracles of traverse_frusta.cl: numbers of visibility/oracles.py
+    is_occluded: int = 0
+    split_frustum: int = 0
+    generate_samples: int = 0
+    binning: int = 1  # blocks of samples are tested before their samples
+    node_bounds: bool = False  # setup finds each triangle's greatest nearness, for the nodes of a BVH
+    leaf_order: bool = False  # triangles lie in the order of the leaves of a BVH
+    stack_capacity: int = 1  # entries of a work item's stack in traverse_frusta.cl
+    resumable: bool = False  # traversal stops and goes on in another launch, on drivers that limit loops
     alpha_mask: bool = False
     alpha_blend: bool = False
     textures: bool = False

@@ -39,6 +39,57 @@ PRECISION_FAST = 0
 PRECISION_ORDERED = 1
 PRECISION_MIDPOINT = 2
 
+EDGES_3D = 0
+EDGES_2D = 1
+EDGES_2DH = 2
+EDGES_BARYCENTRIC = 3
+
+EVALUATION_DIRECT = 0
+EVALUATION_INCREMENTAL = 1
+
+INCREMENT_CELL = 32
+"""Samples a side of the squares in which incremental evaluation starts anew; a power of two."""
+
+INCREMENT_SLACK = 64.0 * 2.0**-24
+"""Error of an incrementally evaluated edge function relative to its terms: 16 sums, each within 2^-24, and slack."""
+
+IS_OUTSIDE_NEVER = 0
+IS_OUTSIDE_SCREEN_BOUND = 1
+
+IS_OCCLUDED_NEVER = 0
+IS_OCCLUDED_W_BUFFER = 1
+
+SPLIT_FRUSTUM_NEVER = 0
+SPLIT_FRUSTUM_CENTER = 1
+SPLIT_FRUSTUM_SMALL = 2
+SPLIT_FRUSTUM_ADAPTIVE = 3
+SPLIT_FRUSTUM_ALWAYS = 4
+
+GENERATE_SAMPLES_ROOT = 0
+GENERATE_SAMPLES_LEAF = 1
+
+BINNING_NEVER = 0
+BINNING_BLOCKS = 1
+
+MIN_FRUSTUM_LOG2 = 3
+"""Frusta of 8 x 8 samples are not split (Davidovic et al., section 5)."""
+
+NODE_WIDTH = 16
+"""Children of a node of the BVH."""
+
+LEAF_BIT = 0x80000000
+"""Of a child: it is a leaf, the other bits are its first slot."""
+
+EMPTY_CHILD = 0xFFFFFFFF
+
+WORK_COUNTERS = (
+    "setups", "edge_evaluations", "samples_tested", "samples_written", "traversal_steps", "frusta_split",
+    "blocks_culled", "nodes_culled",
+)  # fmt: skip
+"""Columns of a work item's counters, in the order of `Work` in cl/counters.clh."""
+
+WORK_COUNTER_COUNT = len(WORK_COUNTERS)
+
 LIGHT_POINT = 0
 LIGHT_SPOT = 1
 LIGHT_DIRECTIONAL = 2

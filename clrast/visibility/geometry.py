@@ -10,6 +10,7 @@ import numpy as np
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
+from clrast.visibility.bvh import Bvh
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -24,7 +25,9 @@ class Geometry:
     positions : [vertex_count] float4, world space times the view's world_scale, for shading
     indices : [3 * triangle_count] uint, for shading
     corners : [3 * triangle_count] float4, as prepare_triangles.cl writes them, for everything else
+        (with a BVH in the order of its leaves: by slot)
     corner_vertices : [3 * triangle_count] uint, the vertices that the corners are, where masks look attributes up
+    bvh : the hierarchy over the triangles, and prims : [triangle_count] uint, prim_id of each slot; or None
     """
 
     positions: cl.Buffer
@@ -33,20 +36,29 @@ class Geometry:
     triangle_count: int
     vertex_count: int
     corner_vertices: cl.Buffer | None = None
+    bvh: Bvh | None = None
+    prims: cl.Buffer | None = None
 
     @property
     def nbytes(self) -> int:
         """Bytes on the device."""
         masked_bytes = 0 if self.corner_vertices is None else 12
-        return 16 * self.vertex_count + (12 + 48 + masked_bytes) * self.triangle_count
+        slot_bytes = 0 if self.prims is None else 4
+        return 16 * self.vertex_count + (12 + 48 + masked_bytes + slot_bytes) * self.triangle_count
 
 
 def build_geometry(
-    device: Device, features: Features, positions: np.ndarray, triangles: np.ndarray, world_scale: float
+    device: Device,
+    features: Features,
+    positions: np.ndarray,
+    triangles: np.ndarray,
+    world_scale: float,
+    bvh: Bvh | None = None,
 ) -> Geometry:
     """Upload a scene's triangles and lay them out; waits.
 
-    positions : (vertex_count, 3) float32, world space. triangles : (triangle_count, 3) uint32.
+    positions : (vertex_count, 3) float32, world space. triangles : (triangle_count, 3) uint32. bvh : with
+    features.leaf_order the hierarchy whose leaves the triangles are laid out by.
     """
     scaled = np.zeros((len(positions), 4), dtype=np.float32)
     scaled[:, :3] = positions
@@ -56,6 +68,7 @@ def build_geometry(
     indices = buffers.upload(device, np.ascontiguousarray(triangles, dtype=np.uint32))
     corners = buffers.create(device, 48 * len(triangles))
     masks = {"corner_vertices": buffers.create(device, 12 * len(triangles))} if features.alpha_mask else {}
+    order = {"prims": buffers.upload(device, bvh.prims)} if features.leaf_order and bvh is not None else {}
     kernels.build(device, "prepare_triangles.cl", features).launch(
         "prepare_triangles",
         -(-len(triangles) // WORK_GROUP) * WORK_GROUP,
@@ -65,6 +78,7 @@ def build_geometry(
         indices=indices,
         corners=corners,
         **masks,
+        **order,
     )
     device.queue.finish()
-    return Geometry(buffer, indices, corners, len(triangles), len(positions), **masks)
+    return Geometry(buffer, indices, corners, len(triangles), len(positions), **masks, bvh=bvh, **order)

@@ -15,23 +15,17 @@ import numpy as np
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
-from clrast.opencl.layout import CHUNK_COUNT
 from clrast.visibility.geometry import Geometry
 from clrast.visibility.loop_limits import chunk_size_within, loop_limit, reference_span_within
+from clrast.visibility.screen_bounds import ScreenBounds, round_up
+from clrast.visibility.work import WorkCounters
 
 if TYPE_CHECKING:
     import pyopencl as cl
 
 REFERENCE_BYTES = 8
-BOUND_BYTES = 8
-"""Device bytes of a triangle's screen bound."""
-
 TILE_PAD = 16
 """sum_tile_counts takes 16 tiles at a time."""
-
-
-def _round_up(value: int, step: int) -> int:
-    return -(-value // step) * step
 
 
 class TileRasterizer:
@@ -49,8 +43,10 @@ class TileRasterizer:
         geometry: Geometry,
         surfaces: Mapping[str, Any],
         band_rows: int,
+        work: WorkCounters | None = None,
     ) -> None:
         self.device = device
+        self.work = work
         self.features = features
         self.view = view.copy()
         self.geometry = geometry
@@ -60,29 +56,20 @@ class TileRasterizer:
         self.reference_capacity = 0
         self._programs = {
             name: kernels.build(device, name, features)
-            for name in ("setup_triangles.cl", "bin_triangles.cl", "rasterize_tiles.cl")
+            for name in ("bin_triangles.cl", "rasterize_tiles.cl")
         }
         self._limit = loop_limit(device)
         self._reference_span = 0
-        width = features.vector_width
-        self._padded_count = _round_up(geometry.triangle_count, width)
-        chunk_count = CHUNK_COUNT if self._limit is None else -(-self._padded_count // max(1, self._limit // 80))
-        self._set_chunks(_round_up(-(-self._padded_count // chunk_count), width))
-        self._band_stride = _round_up(band_rows * int(view["tile_columns"]), TILE_PAD)
+        self.bounds = ScreenBounds(device, features, geometry)
+        self._band_stride = round_up(band_rows * int(view["tile_columns"]), TILE_PAD)
         pixel_count = min(band_rows << features.tile_log2, int(view["height"])) * int(view["width"])
-        self._bounds_low = buffers.create(device, 4 * self._padded_count)
-        self._bounds_high = buffers.create(device, 4 * self._padded_count)
         self._tile_counts = buffers.create(device, 4 * self._band_stride)
         self._tile_begin = buffers.create(device, 4 * (self._band_stride + 1))
-        self._cursors = buffers.create(device, 4 * self._band_stride * self._chunk_count)
+        self._cursors = buffers.create(device, 4 * self._band_stride * self.bounds.chunk_count)
         self._reference_prims: cl.Buffer | None = None
         self._reference_bounds: cl.Buffer | None = None
         self.visible_prims = buffers.create(device, 4 * pixel_count)
         self.nearness = buffers.create(device, 4 * pixel_count) if features.keep_nearness else None
-
-    def _set_chunks(self, chunk_size: int) -> None:
-        self._chunk_size = chunk_size
-        self._chunk_count = max(1, -(-self._padded_count // chunk_size))
 
     def _launch(self, program: str, kernel: str, items: int, **arguments: Any) -> None:
         self._programs[program].launch(kernel, items, 1, **arguments)
@@ -90,44 +77,35 @@ class TileRasterizer:
 
     def setup(self) -> None:
         """Find every triangle's canonical conservative screen bound."""
-        self._launch(
-            "setup_triangles.cl",
-            "setup_triangles",
-            self._chunk_count,
-            view=self.view,
-            triangle_count=self.geometry.triangle_count,
-            chunk_size=self._chunk_size,
-            corners=self.geometry.corners,
-            bounds_low=self._bounds_low,
-            bounds_high=self._bounds_high,
-        )
+        self.bounds.find(self.view, self.work)
+        self.launches += 1
         if self._limit is not None:
             self._fit_chunks()
 
     def _fit_chunks(self) -> None:
         """Cut chunks to what the driver's loops allow; reads the bounds back."""
-        low = buffers.download(self.device, self._bounds_low, np.uint32, self._padded_count)
-        high = buffers.download(self.device, self._bounds_high, np.uint32, self._padded_count)
+        low = buffers.download(self.device, self.bounds.low, np.uint32, self.bounds.padded_count)
+        high = buffers.download(self.device, self.bounds.high, np.uint32, self.bounds.padded_count)
         shift = self.features.tile_log2
         last = high - np.uint32(0x00010001)
         columns = (last >> shift & 0xFFFF >> shift).astype(np.int64) - (low >> shift & 0xFFFF >> shift) + 1
         rows = (last >> 16 >> shift).astype(np.int64) - (low >> 16 >> shift) + 1
         spans = np.where(high == 0, 0, columns * rows)
         assert self._limit is not None
-        self._set_chunks(chunk_size_within(self._limit, spans, self.features.vector_width))
-        self._cursors = buffers.create(self.device, 4 * self._band_stride * self._chunk_count)
+        self.bounds.set_chunks(chunk_size_within(self._limit, spans, self.features.vector_width))
+        self._cursors = buffers.create(self.device, 4 * self._band_stride * self.bounds.chunk_count)
 
     def count_references(self, band_row: int, band_rows: int) -> None:
         """Count the (tile, triangle) pairs of a band, which decide how much memory its lists take."""
         self.view["band_row"], self.view["band_rows"] = band_row, band_rows
-        self._stride = _round_up(band_rows * int(self.view["tile_columns"]), TILE_PAD)
+        self._stride = round_up(band_rows * int(self.view["tile_columns"]), TILE_PAD)
         program = "bin_triangles.cl"
-        self._launch(program, "count_tile_triangles", self._chunk_count, **self._bin_arguments())
+        self._launch(program, "count_tile_triangles", self.bounds.chunk_count, **self._bin_arguments())
         self._launch(
             program,
             "sum_tile_counts",
             self._stride // TILE_PAD,
-            chunk_count=self._chunk_count,
+            chunk_count=self.bounds.chunk_count,
             tile_stride=self._stride,
             cursors=self._cursors,
             tile_counts=self._tile_counts,
@@ -147,12 +125,13 @@ class TileRasterizer:
         return {
             "view": self.view,
             "triangle_count": self.geometry.triangle_count,
-            "chunk_size": self._chunk_size,
+            "chunk_size": self.bounds.chunk_size,
             "tile_stride": self._stride,
             "corners": self.geometry.corners,
-            "bounds_low": self._bounds_low,
-            "bounds_high": self._bounds_high,
+            "bounds_low": self.bounds.low,
+            "bounds_high": self.bounds.high,
             "cursors": self._cursors,
+            **({} if self.work is None else {"work": self.work.rows(self.bounds.chunk_count)}),
         }
 
     def scatter_references(self) -> None:
@@ -167,7 +146,7 @@ class TileRasterizer:
         self._launch(
             "bin_triangles.cl",
             "scatter_tile_triangles",
-            self._chunk_count,
+            self.bounds.chunk_count,
             **self._bin_arguments(),
             reference_capacity=self.reference_capacity,
             tile_begin=self._tile_begin,
@@ -176,6 +155,15 @@ class TileRasterizer:
         )
         if self._limit is not None:
             self._fit_references(int(self.view["band_rows"]) * int(self.view["tile_columns"]))
+
+    def start_band(self, band_row: int, band_rows: int) -> int:
+        """Count the references of the band that is rendered next; returns their number. Waits."""
+        self.count_references(band_row, band_rows)
+        return self.read_reference_count()
+
+    def finish_lists(self) -> None:
+        """Write the lists of the band that was started."""
+        self.scatter_references()
 
     def fits(self) -> bool:
         """Whether all references were written; where not, scatter again: the buffers then grow. Waits."""
@@ -209,6 +197,10 @@ class TileRasterizer:
             "visible_prims": self.visible_prims,
             **self.surfaces,
         }
+        if self.work is not None:
+            first_row = int(self.view["band_row"]) << self.features.tile_log2
+            rows = min(int(self.view["band_rows"]) << self.features.tile_log2, int(self.view["height"]) - first_row)
+            common |= self.work.of_samples(tile_count, rows * int(self.view["width"]))
         if not self.features.keep_nearness:
             self._launch("rasterize_tiles.cl", "rasterize_tiles", tile_count, **common)
             return
@@ -234,14 +226,7 @@ class TileRasterizer:
         """Bytes of the tiles' lists: counters, starts and references, those counted last included."""
         stride = self._band_stride
         references = max(self.reference_capacity, self.reference_count)
-        return 4 * (stride * self._chunk_count + 2 * stride + 1) + REFERENCE_BYTES * references
-
-    def bounds(self) -> np.ndarray:
-        """The canonical bounds: (triangle_count, 4) int64, x0 y0 x1 y1 in pixels, empty ones 0. Waits."""
-        count = self.geometry.triangle_count
-        low = buffers.download(self.device, self._bounds_low, np.uint32, count).astype(np.int64)
-        high = buffers.download(self.device, self._bounds_high, np.uint32, count).astype(np.int64)
-        return np.stack([low & 0xFFFF, low >> 16, high & 0xFFFF, high >> 16], axis=1)
+        return 4 * (stride * self.bounds.chunk_count + 2 * stride + 1) + REFERENCE_BYTES * references
 
     def tile_lists(self) -> list[np.ndarray]:
         """prim_ids of each tile of the band, in their order. Waits."""

@@ -1,0 +1,178 @@
+"""Frusta through a BVH, or over the whole scene: the methods of the continuum that use no lists of tiles.
+
+Davidovic et al., '3D Rasterization', section 4, Fig. 7; the kernels are cl/setup_triangles.cl, cl/refit_nodes.cl
+and cl/traverse_frusta.cl. Bits depend neither on the oracles nor on the frusta's size, nor on bands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clrast.opencl import buffers, kernels
+from clrast.opencl.device import Device
+from clrast.opencl.features import Features
+from clrast.opencl.layout import NODE_WIDTH
+from clrast.visibility.geometry import Geometry
+from clrast.visibility.loop_limits import loop_limit
+from clrast.visibility.methods import Method
+from clrast.visibility.screen_bounds import ScreenBounds
+from clrast.visibility.work import WorkCounters
+
+if TYPE_CHECKING:
+    import pyopencl as cl
+
+REFIT_GROUP = 64
+
+NODE_BYTES = 4 * 5 * NODE_WIDTH
+"""Device bytes of a node: children, counts, bounds, nearness."""
+
+
+def stack_capacity(levels: int, frustum_log2: int) -> int:
+    """Entries that a traversal's stack can come to hold, rounded up to a power of two.
+
+    On a path each level of the tree leaves at most NODE_WIDTH - 1 siblings and each split 3 quarters.
+    """
+    most = levels * (NODE_WIDTH - 1) + 3 * frustum_log2 + 1
+    return 1 << max(5, (most - 1).bit_length())
+
+
+class FrustumTraversal:
+    """Buffers and launches of one view of one scene; stages in order: setup, then rasterize per band.
+
+    surfaces : buffers by the argument names of traverse_frusta, read where features.alpha_mask is on.
+    band_rows : most rows of root frusta that a band will have. Every method only enqueues, except where it says so.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        features: Features,
+        method: Method,
+        view: np.ndarray,
+        geometry: Geometry,
+        surfaces: Mapping[str, Any],
+        band_rows: int,
+        work: WorkCounters | None = None,
+    ) -> None:
+        self.device, self.features, self.method = device, features, method
+        self.view, self.geometry, self.work = view.copy(), geometry, work
+        self.surfaces = {**surfaces, "indices": geometry.corner_vertices} if features.alpha_mask else {}
+        self.launches = 0
+        self.bounds = ScreenBounds(device, features, geometry)
+        self._program = kernels.build(device, "traverse_frusta.cl", features)
+        self._limit = loop_limit(device)
+        pixel_count = min(band_rows << features.tile_log2, int(view["height"])) * int(view["width"])
+        self.visible_prims = buffers.create(device, 4 * pixel_count)
+        self.nearness = buffers.create(device, 4 * pixel_count) if features.keep_nearness else None
+        self.tree_bytes = 0
+        self._nodes: dict[str, cl.Buffer] = {}
+        self._make_nodes()
+        self._frustum_count = band_rows * int(view["tile_columns"])
+        self._resume: dict[str, cl.Buffer] = {}
+        if features.resumable:
+            self._resume = {
+                "resume_points": buffers.create(device, 8 * self._frustum_count),
+                "stacks": buffers.create(device, 8 * self._frustum_count * features.stack_capacity),
+            }
+
+    def _make_nodes(self) -> None:
+        names = ("children", "slot_counts", "node_low", "node_high", "node_nearest")
+        bvh, prims = self.geometry.bvh, self.geometry.prims
+        if bvh is None or prims is None:
+            empty = buffers.create(self.device, 4)
+            self._nodes = {name: empty for name in (*names, "prims")}
+            return
+        self._refit = kernels.build(self.device, "refit_nodes.cl", self.features)
+        size = 4 * NODE_WIDTH * bvh.node_count
+        self._nodes = {
+            "children": buffers.upload(self.device, bvh.children),
+            "slot_counts": buffers.upload(self.device, bvh.counts),
+            **{name: buffers.create(self.device, size) for name in names[2:]},
+            "prims": prims,
+        }
+        self.tree_bytes = NODE_BYTES * bvh.node_count
+
+    def setup(self) -> None:
+        """Find every triangle's canonical bound, and those of the nodes."""
+        self.bounds.find(self.view, self.work)
+        self.launches += 1
+        if not self.method.needs_bvh:
+            return
+        assert self.geometry.bvh is not None
+        for first, end in reversed(self.geometry.bvh.levels):
+            self._refit.launch(
+                "refit_nodes",
+                -(-(end - first) * NODE_WIDTH // REFIT_GROUP) * REFIT_GROUP,
+                REFIT_GROUP,
+                first_node=first,
+                node_count=end - first,
+                bounds_low=self.bounds.low,
+                bounds_high=self.bounds.high,
+                nearest=self.bounds.nearest,
+                **{name: buffer for name, buffer in self._nodes.items() if name != "prims"},
+            )
+            self.launches += 1
+
+    def start_band(self, band_row: int, band_rows: int) -> int:
+        """Choose the band that is rendered next; returns 0, as there are no lists."""
+        self.view["band_row"], self.view["band_rows"] = band_row, band_rows
+        return 0
+
+    def finish_lists(self) -> None:
+        """Nothing: frusta have no lists."""
+
+    def rasterize(self, layer: int = 0, front: tuple[cl.Buffer, cl.Buffer] | None = None) -> None:
+        """Decide every sample of the band: `visible_prims` (and `nearness`, where kept).
+
+        front : nearness and prim_ids of the layer in front, where `layer` > 0. Waits on drivers that limit loops.
+        """
+        frustum_count = int(self.view["band_rows"]) * int(self.view["tile_columns"])
+        arguments: dict[str, Any] = {
+            "view": self.view,
+            "frustum_count": frustum_count,
+            "triangle_count": self.geometry.triangle_count,
+            "small_ratio": self.method.small_ratio,
+            "corners": self.geometry.corners,
+            "bounds_low": self.bounds.low,
+            "bounds_high": self.bounds.high,
+            "nearest": self.bounds.nearest if self.bounds.nearest is not None else self._nodes["children"],
+            "visible_prims": self.visible_prims,
+            **self._nodes,
+            **self.surfaces,
+            **self._resume,
+        }
+        if self.work is not None:
+            first_row = int(self.view["band_row"]) << self.features.tile_log2
+            rows = min(int(self.view["band_rows"]) << self.features.tile_log2, int(self.view["height"]) - first_row)
+            arguments |= self.work.of_samples(frustum_count, rows * int(self.view["width"]))
+        if self.features.keep_nearness:
+            front_nearness, front_prims = front or (self.nearness, self.visible_prims)
+            arguments |= {
+                "resume": 0,
+                "layer": layer,
+                "front_nearness": front_nearness,
+                "front_prims": front_prims,
+                "nearness": self.nearness,
+            }
+        if self.features.resumable:
+            arguments["iterations"] = self._limit or 0
+        self._launch(frustum_count, arguments)
+        while self.features.resumable and self._unfinished(frustum_count):
+            arguments["resume"] = 1
+            self._launch(frustum_count, arguments)
+
+    def _launch(self, items: int, arguments: dict[str, Any]) -> None:
+        self._program.launch("traverse_frusta", items, 1, **arguments)
+        self.launches += 1
+
+    def _unfinished(self, frustum_count: int) -> bool:
+        points = buffers.download(self.device, self._resume["resume_points"], np.uint32, (frustum_count, 2))
+        return bool(points[:, 0].any())
+
+    def list_bytes(self) -> int:
+        """Bytes of what the traversal keeps beside the pixels: nodes, nearness of triangles, stacks."""
+        stacks = self._frustum_count * (8 + 8 * self.features.stack_capacity) if self.features.resumable else 0
+        return self.tree_bytes + stacks + (4 * self.bounds.padded_count if self.bounds.nearest is not None else 0)
