@@ -230,7 +230,7 @@ kernel void count_tile_triangles(
   TileSink sink = {own, 0, 0, 0, 0};
   const uint begin = chunk * chunk_size;
 #if COUNTERS
-  Work own_work = {0, 0, 0, 0, 0, 0, 0, 0};
+  Work own_work = {0, 0, 0, 0, 0, 0, 0, 0, 0};
   sink.work = &own_work;
 #endif
   walk_chunk(sink, view, begin, min(begin + chunk_size, triangle_count), bounds_low, bounds_high, corners);
@@ -299,7 +299,7 @@ kernel void scatter_tile_triangles(
                    reference_capacity};
   const uint begin = chunk * chunk_size;
 #if COUNTERS
-  Work own_work = {0, 0, 0, 0, 0, 0, 0, 0};
+  Work own_work = {0, 0, 0, 0, 0, 0, 0, 0, 0};
   sink.work = &own_work;
 #endif
   walk_chunk(sink, view, begin, min(begin + chunk_size, triangle_count), bounds_low, bounds_high, corners);

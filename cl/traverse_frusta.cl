@@ -222,11 +222,13 @@ kernel void traverse_frusta(
 #endif
   WPyramid pyramid;
   clear_pyramid(&pyramid);
-#if KEEP_NEARNESS && IS_OCCLUDED == IS_OCCLUDED_W_BUFFER
-  update_pyramid(&pyramid, &samples, 0, 0, TILE_SIZE, TILE_SIZE);
-#endif
   SlotQueue queue;
   queue.count = 0;
+  for (uint row = 0; row < CELL_COLUMNS; ++row) queue.dirty.rows[row] = 0;
+#if KEEP_NEARNESS && IS_OCCLUDED == IS_OCCLUDED_W_BUFFER
+  mark_cells(&queue.dirty, 0, 0, TILE_SIZE, TILE_SIZE);
+  update_pyramid(&pyramid, &samples, &queue.dirty);
+#endif
 #if GENERATE_SAMPLES == GENERATE_SAMPLES_ROOT
   next_slot = generate_samples(&s, next_slot, triangle_count, whole, -INFINITY, &queue, &samples, &pyramid);
   top = next_slot < triangle_count;

@@ -83,8 +83,8 @@ LEAF_BIT = 0x80000000
 EMPTY_CHILD = 0xFFFFFFFF
 
 WORK_COUNTERS = (
-    "setups", "edge_evaluations", "samples_tested", "samples_written", "traversal_steps", "frusta_split",
-    "blocks_culled", "nodes_culled",
+    "setups", "edge_evaluations", "samples_tested", "samples_covered", "samples_written", "traversal_steps",
+    "frusta_split", "blocks_culled", "nodes_culled",
 )  # fmt: skip
 """Columns of a work item's counters, in the order of `Work` in cl/counters.clh."""
 

@@ -260,7 +260,7 @@ def _nearest_neighbours(boxes: np.ndarray, radius: int, ignored_bits: int) -> np
             shift = begin % (2 * d)
             key |= codes[d - 1][shift : shift + end - begin]
             np.minimum(best[begin:end], key, out=best[begin:end])
-            np.minimum(best[begin + d : end + d], key, out=best[begin + d : end + d])
+            pass
     here = np.arange(count)
     distance = (best & np.uint32((1 << code_bits) - 1)).astype(np.int64) // 2 + 1
     return np.where(here // distance % 2 == best % 2, here + distance, here - distance)
