@@ -53,22 +53,9 @@ kernel void refit_nodes(
       join(&all, LOAD_V(node_low + first + k), LOAD_V(node_high + first + k), LOAD_V(node_nearest + first + k),
            LANES < (int)(NODE_WIDTH - k));
   }
-  int x0[VECTOR_WIDTH], y0[VECTOR_WIDTH], x1[VECTOR_WIDTH], y1[VECTOR_WIDTH];
-  float lane_nearest[VECTOR_WIDTH];
-  STORE_V(all.x0, x0);
-  STORE_V(all.y0, y0);
-  STORE_V(all.x1, x1);
-  STORE_V(all.y1, y1);
-  STORE_V(all.nearest, lane_nearest);
-  for (uint lane = 1; lane < VECTOR_WIDTH; ++lane) {
-    x0[0] = min(x0[0], x0[lane]);
-    y0[0] = min(y0[0], y0[lane]);
-    x1[0] = max(x1[0], x1[lane]);
-    y1[0] = max(y1[0], y1[lane]);
-    lane_nearest[0] = max(lane_nearest[0], lane_nearest[lane]);
-  }
-  if (x1[0] == 0) return;
-  node_low[own] = x0[0] | y0[0] << 16;
-  node_high[own] = x1[0] | y1[0] << 16;
-  node_nearest[own] = lane_nearest[0];
+  const int x1 = -LOWEST_INT_V(-all.x1), y1 = -LOWEST_INT_V(-all.y1);
+  if (x1 == 0) return;
+  node_low[own] = LOWEST_INT_V(all.x0) | LOWEST_INT_V(all.y0) << 16;
+  node_high[own] = x1 | y1 << 16;
+  node_nearest[own] = -LOWEST_V(-all.nearest);
 }

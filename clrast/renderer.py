@@ -31,6 +31,15 @@ from clrast.shading.shade import Shader, channel_names
 from clrast.shading.surfaces import MASK_ARGUMENTS, SurfaceBuffers
 from clrast.visibility.bands import BandPlan, plan_bands
 from clrast.visibility.bvh import Bvh, build_bvh
+from clrast.visibility.cost_model import (
+    CANDIDATE,
+    DEFAULT,
+    StageTimes,
+    ViewCounts,
+    is_worth_a_trial,
+    reason_of_trial,
+    reason_without_trial,
+)
 from clrast.visibility.frusta import FrustumTraversal, stack_capacity
 from clrast.visibility.geometry import build_geometry
 from clrast.visibility.loop_limits import loop_limit
@@ -45,7 +54,6 @@ LARGE_IMAGE = 1 << 19
 """Pixels from which on tiles of 64 x 64 are faster than 32 x 32: fewer lists, and still enough for all threads."""
 MAX_FRUSTUM_LOG2_OF_SCALARS = 5
 """Largest root frustum where a work item takes one sample at a time: it is such devices' only parallelism."""
-DEFAULT_METHOD = "3dr-binning"
 _ONE_AT_A_TIME = threading.Lock()
 """Threads share a device's kernels, whose arguments are set before each launch: renders take turns."""
 
@@ -70,8 +78,8 @@ def render(scene: Scene, camera: Camera | None = None, *, options: RenderOptions
     device = open_device(options.device, options.threads)
     opened = time.perf_counter()
     with _ONE_AT_A_TIME:
-        job = RenderJob(device, scene, vectors, options, plan)
-        job.times["plan"] = 1000 * (planned - started)
+        job = start_job(device, scene, vectors, options, plan)
+        job.times["plan"] = 1000 * (planned - started) + job.trial_ms
         job.times["device"] = 1000 * (opened - planned)
         frame_count = max(1, options.repeat + (1 if options.repeat else 0))
         channels = job.allocate()
@@ -99,10 +107,41 @@ def hierarchy_of(scene: Scene) -> tuple[Bvh, float]:
     return found[1], found[2]
 
 
-def choose_method(options: RenderOptions) -> Method:
-    """The method that the options ask for."""
-    name = DEFAULT_METHOD if options.method == AUTO else options.method
-    return resolve_method(name, options.oracle, intersection=options.intersection, evaluation=options.evaluation)
+def named_method(options: RenderOptions) -> Method:
+    """The method that the options name, with their oracles; the default one for `auto`."""
+    if options.method == AUTO:
+        return resolve_method(DEFAULT, evaluation=options.evaluation)
+    return resolve_method(
+        options.method, options.oracle, intersection=options.intersection, evaluation=options.evaluation
+    )
+
+
+def start_job(
+    device: Device, scene: Scene, vectors: CameraVectors, options: RenderOptions, plan: EffectPlan
+) -> RenderJob:
+    """The job of the method that the options name; with `auto` the fastest, by frames of the view itself."""
+    job = RenderJob(device, scene, vectors, options, plan)
+    if options.method != AUTO:
+        return job
+    if loop_limit(device) is not None or len(job.bands) > 1:
+        job.reason = f"{DEFAULT}: nothing else is tried on this device, or for an image in bands"
+        return job
+    started = time.perf_counter()
+    default = job.time_frame()
+    counts = job.count_view()
+    if is_worth_a_trial(counts, default):
+        method = resolve_method(CANDIDATE, evaluation=options.evaluation)
+        other = RenderJob(device, scene, vectors, options, plan, method)
+        other.time_frame()
+        candidate, default = other.time_frame(), job.time_frame()
+        job.reason = other.reason = reason_of_trial(default, candidate)
+        job.times["build"] = other.times["build"]
+        if candidate.total < default.total:
+            job = other
+    else:
+        job.reason = reason_without_trial(counts, default)
+    job.trial_ms = max(0.0, 1000 * (time.perf_counter() - started) - job.times["build"])
+    return job
 
 
 def square_log2(device: Device, method: Method, pixel_count: int) -> int:
@@ -152,11 +191,19 @@ class RenderJob:
     """One view of one scene on one device: uploads once, renders any number of equal frames."""
 
     def __init__(
-        self, device: Device, scene: Scene, vectors: CameraVectors, options: RenderOptions, plan: EffectPlan
+        self,
+        device: Device,
+        scene: Scene,
+        vectors: CameraVectors,
+        options: RenderOptions,
+        plan: EffectPlan,
+        method: Method | None = None,
     ) -> None:
         self.device, self.scene, self.vectors, self.options, self.plan = device, scene, vectors, options, plan
         self.times: dict[str, float] = {}
-        self.method = choose_method(options)
+        self.method = method or named_method(options)
+        self.reason: str | None = None
+        self.trial_ms = 0.0
         bvh, self.times["build"] = hierarchy_of(scene) if self.method.needs_bvh else (None, 0.0)
         self.features = make_features(device, scene, vectors, options, plan, self.method, bvh)
         self.tile_log2 = self.features.tile_log2
@@ -223,6 +270,31 @@ class RenderJob:
             channels[name] = np.zeros((height, width), dtype=np.uint32 if name.startswith("id.") else np.float32)
         return channels
 
+    def time_frame(self) -> StageTimes:
+        """Setup, bin and visibility of the whole image, timed; nothing is shaded."""
+        self._frame_times: dict[str, float] = {}
+        rows = int(self.view["tile_rows"])
+        self._timed("setup", self.tiles.setup)
+        self._timed("bin", partial(self.tiles.start_band, 0, rows))
+        self._timed("bin", self.tiles.finish_lists)
+        self._timed("visibility", self.tiles.rasterize)
+        return StageTimes(**self._frame_times)
+
+    def count_view(self) -> ViewCounts:
+        """What the last frame showed."""
+        width, height = self.options.size
+        prims = buffers.download(self.device, self.tiles.visible_prims, np.uint32, width * height)
+        hits = prims[prims != NO_HIT]
+        seen = np.bincount(hits, minlength=1)
+        areas = self.tiles.bounds.areas()
+        return ViewCounts(
+            seen=int(np.count_nonzero(seen)),
+            in_view=int(np.count_nonzero(areas)),
+            references=self.tiles.list_length(),
+            bound_samples=int(areas.sum()),
+            hits=len(hits),
+        )
+
     def _timed(self, stage: str, work: Callable[[], Any]) -> Any:
         started = time.perf_counter()
         result = work()
@@ -232,7 +304,7 @@ class RenderJob:
 
     def render_frame(self, channels: dict[str, np.ndarray], first: bool) -> None:
         """Render all bands into `channels`; keeps the smallest time of each stage unless `first`."""
-        self._frame_times: dict[str, float] = {}
+        self._frame_times = {}
         self.hit_count = self.passes = self.band_count = 0
         self.launches = -self.tiles.launches - self.shader.launches
         if self.work is not None:
@@ -330,6 +402,7 @@ class RenderJob:
             "device": {"name": self.device.name, "platform": self.device.platform, "version": self.device.version},
             "method": self.method.name,
             "method_requested": self.options.method,
+            "method_reason": self.reason or "asked for",
             "precision": self.options.precision,
             "aa": self.options.aa,
             "mode": self.options.mode,

@@ -47,7 +47,7 @@ class Bvh:
     """Nodes, breadth first; node 0 is the root.
 
     children : (node_count, 16) uint32, node of an inner child, LEAF_BIT | first slot in `prims`, or EMPTY_CHILD;
-        used slots come first.
+        used slots come first, in the order of `prims`.
     counts : (node_count, 16) uint32, triangles of a leaf, 0 for the others.
     boxes : (node_count, 6, 16) float32, world space, min x, y, z, max x, y, z of each child, exact; unused: +inf, -inf.
     prims : (triangle_count,) uint32, every prim_id once, ascending in each leaf.
@@ -260,7 +260,7 @@ def _nearest_neighbours(boxes: np.ndarray, radius: int, ignored_bits: int) -> np
             shift = begin % (2 * d)
             key |= codes[d - 1][shift : shift + end - begin]
             np.minimum(best[begin:end], key, out=best[begin:end])
-            pass
+            np.minimum(best[begin + d : end + d], key, out=best[begin + d : end + d])
     here = np.arange(count)
     distance = (best & np.uint32((1 << code_bits) - 1)).astype(np.int64) // 2 + 1
     return np.where(here // distance % 2 == best % 2, here + distance, here - distance)

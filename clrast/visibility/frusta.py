@@ -172,6 +172,10 @@ class FrustumTraversal:
         points = buffers.download(self.device, self._resume["resume_points"], np.uint32, (frustum_count, 2))
         return bool(points[:, 0].any())
 
+    def list_length(self) -> int:
+        """No references."""
+        return 0
+
     def list_bytes(self) -> int:
         """Bytes of what the traversal keeps beside the pixels: nodes, nearness of triangles, stacks."""
         stacks = self._frustum_count * (8 + 8 * self.features.stack_capacity) if self.features.resumable else 0

@@ -73,6 +73,14 @@ class ScreenBounds:
             **more,
         )
 
+    def areas(self) -> np.ndarray:
+        """Samples in each bound: (triangle_count,) int64, by slot. Waits."""
+        count = self.geometry.triangle_count
+        low = buffers.download(self.device, self.low, np.uint32, count)
+        high = buffers.download(self.device, self.high, np.uint32, count)
+        widths, heights = (high & 0xFFFF) - (low & 0xFFFF), (high >> 16) - (low >> 16)
+        return widths.astype(np.int64) * heights
+
     def read(self) -> np.ndarray:
         """The bounds: (triangle_count, 4) int64, x0 y0 x1 y1 in pixels, empty ones 0, by slot. Waits."""
         count = self.geometry.triangle_count

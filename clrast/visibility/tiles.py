@@ -222,6 +222,10 @@ class TileRasterizer:
                 nearness=self.nearness,
             )
 
+    def list_length(self) -> int:
+        """References in the lists of the band, as last read."""
+        return self.reference_count
+
     def list_bytes(self) -> int:
         """Bytes of the tiles' lists: counters, starts and references, those counted last included."""
         stride = self._band_stride
