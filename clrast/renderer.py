@@ -123,8 +123,8 @@ def start_job(
     job = RenderJob(device, scene, vectors, options, plan)
     if options.method != AUTO:
         return job
-    if loop_limit(device) is not None or len(job.bands) > 1:
-        job.reason = f"{DEFAULT}: nothing else is tried on this device, or for an image in bands"
+    if loop_limit(device) is not None or len(job.bands) > 1 or options.memory is not None:
+        job.reason = f"{DEFAULT}: nothing else is tried on this device, in bands or under a memory budget"
         return job
     started = time.perf_counter()
     default = job.time_frame()
@@ -135,11 +135,11 @@ def start_job(
         other.time_frame()
         candidate, default = other.time_frame(), job.time_frame()
         job.reason = other.reason = reason_of_trial(default, candidate)
-        job.times["build"] = other.times["build"]
         if candidate.total < default.total:
             job = other
     else:
         job.reason = reason_without_trial(counts, default)
+    # What was built for a method that then is not used was part of the trial.
     job.trial_ms = max(0.0, 1000 * (time.perf_counter() - started) - job.times["build"])
     return job
 

@@ -283,7 +283,7 @@ def limited_loops(monkeypatch: pytest.MonkeyPatch, iterations: int) -> Iterator[
 
 @pytest.mark.parametrize(
     ("point", "first", "second"),
-    [(("3dr-full", ("frustum=32",)), 400, 1500), (("raycast-bvh", ()), 400, 1500), (("3dr-brute", ("frustum=16",)), 40, 400)],
+    [(("3dr-full", ("frustum=32",)), 400, 1500), (("raycast-bvh", ()), 400, 1500), (("3dr-brute", ("frustum=16",)), 12, 400)],
     ids=["3dr-full", "raycast-bvh", "3dr-brute"],
 )
 def test_a_traversal_stops_and_goes_on(

@@ -89,8 +89,8 @@ HEAD = "typedef float16 float_v; typedef int16 int_v; typedef struct { float_v x
 
 def count(body: str, head: str = "") -> KernelOperations:
     """Of a function with floats a, b, integers i, j, a struct p and an array q."""
-    text = f"{HEAD}{head}static void f(float_v a, float b, int i, int_v j, Pair p, const float *restrict q) {{ {body} }}"
-    return count_source(text, ("f",), {})[0]
+    signature = "static void f(float_v a, float b, int i, int_v j, Pair p, const float *restrict q)"
+    return count_source(f"{HEAD}{head}{signature} {{ {body} }}", ("f",), {})[0]
 
 
 @pytest.mark.parametrize(
@@ -126,8 +126,9 @@ def test_operators(body: str, expected: dict[str, int]) -> None:
 
 
 def test_calls_count_what_they_do() -> None:
-    head = "static float_v g(float_v a) { return a * a; } static Pair h(float_v a) { Pair r = {g(a) + a, a}; return r; }"
-    assert count("return h(a + b).x * g(b);", head) == KernelOperations(add=2, mul=3)
+    g = "static float_v g(float_v a) { return a * a; }"
+    h = "static Pair h(float_v a) { Pair r = {g(a) + a, a}; return r; }"
+    assert count("return h(a + b).x * g(b);", g + h) == KernelOperations(add=2, mul=3)
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,7 @@ class Source:
         return True
 
     def _scan(self, tokens: list[Token]) -> None:
+        """Take in every struct, typedef and function of the program."""
         at = 0
         while at < len(tokens):
             if tokens[at] == "typedef" and tokens[at + 1] == "struct":
@@ -74,7 +75,7 @@ class Source:
         fields: dict[str, str] = {}
         for declaration in split(tokens, ";"):
             words = [t for t in declaration if t not in QUALIFIERS]
-            for number, member in enumerate(split(words[1:], ",")):
+            for member in split(words[1:], ","):
                 fields[next(t for t in member if t.isidentifier())] = words[0]
         return fields
 

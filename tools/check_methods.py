@@ -1,0 +1,195 @@
+#!/usr/bin/env python3
+"""Renders scenes by every method: those with 3D edges must agree bit for bit; exit 1 where they do not.
+
+    python tools/check_methods.py                                  all of ../shared/scenes and the suite, 1024x1024
+    python tools/check_methods.py a.glb --methods 3dr-full,raycast-bvh --size 512x512 --json report.json
+
+Views: from outside and from inside (perspective). id.prim and Z of each method are held against 3dr-binning's. For 2D
+edges and for the barycentric form every sample that differs must lie within float32 rounding of an edge of one of
+the two triangles, or both must be equally near there within rounding; both are found in float64, and the largest
+distance and its bound are printed (bound: BOUND_SLACK of opencl/layout.py, derived in cl/setup_triangles.cl, for edges
+of a projected triangle; clipped ones are far outside the image and err in proportion).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
+
+from check_visibility import standard_views  # noqa: E402
+
+from clrast.errors import ClrastError  # noqa: E402
+from clrast.opencl.features import Edges  # noqa: E402
+from clrast.opencl.layout import BOUND_SLACK, NO_HIT  # noqa: E402
+from clrast.options import parse_size  # noqa: E402
+from clrast.renderer import render  # noqa: E402
+from clrast.scene.load import load  # noqa: E402
+from clrast.scene.model import Camera, Scene  # noqa: E402
+from clrast.study.suite import SUITE, make_scene  # noqa: E402
+from clrast.visibility.methods import METHODS  # noqa: E402
+
+SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
+REFERENCE = "3dr-binning"
+DEPTH_ROUNDING = 2.0**-18
+"""Relative difference of w at which float32 may see either surface in front, of triangles that are not edge-on."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """One method on one view. edge_distance, edge_bound : pixels, of the sample for which their ratio is largest."""
+
+    scene: str
+    view: str
+    method: str
+    ids: int
+    depths: int
+    near_edge: int = 0
+    tied: int = 0
+    unexplained: int = 0
+    edge_distance: float = 0.0
+    edge_bound: float = 0.0
+
+
+def sources(names: list[str]) -> Iterator[tuple[str, Scene]]:
+    """Scenes by name: files, and scenes of the suite."""
+    shared = ROOT.parent / "shared" / "scenes"
+    if not names:
+        names = [str(path) for path in sorted(shared.rglob("*")) if path.suffix in SUFFIXES] + list(SUITE)
+    for name in names:
+        if name in SUITE:
+            yield name, make_scene(name)
+            continue
+        try:
+            yield name.removeprefix(f"{shared}/"), load(name)
+        except ClrastError as error:
+            print(f"skipped: {str(error).replace(str(shared), 'scenes')}")
+
+
+def cameras(scene: Scene) -> dict[str, Camera]:
+    """The scene's own two views (of the suite), else from outside and inside its bounding box."""
+    if scene.name in SUITE:
+        return {camera.name: camera for camera in scene.cameras}
+    views = standard_views(*scene.bounding_box())
+    return {
+        name: Camera(name, "perspective", views[name].eye, views[name].look_at, views[name].up, views[name].fov)
+        for name in ("outside", "inside")
+    }
+
+
+def explain(scene: Scene, stats: dict[str, Any], ids: np.ndarray, right: np.ndarray) -> dict[str, Any]:
+    """Why samples differ: the nearest edge of either triangle in pixels, and how far apart the two surfaces are."""
+    rows, columns = np.nonzero(ids != right)
+    e, d0, dx, dy = (np.array(stats["camera"][name], dtype=np.float64) for name in ("e", "d0", "dx", "dy"))
+    d = d0 + (columns[:, None] + 0.5) * dx + (rows[:, None] + 0.5) * dy
+    focal = 1 / np.sqrt(min(dx @ dx, dy @ dy))
+    height, width = ids.shape
+    x, y = abs(columns + 0.5 - width / 2), abs(rows + 0.5 - height / 2)
+    bound = BOUND_SLACK * (focal + x + y) ** 2 / focal
+    distance = np.full(len(rows), np.inf)
+    nearness = []
+    for prims in (ids[rows, columns], right[rows, columns]):
+        found = prims != NO_HIT
+        corners = scene.positions[scene.triangles[np.where(found, prims, 0)]].astype(np.float64) - e
+        own = np.full(len(rows), np.inf)
+        for i in range(3):
+            n = np.cross(corners[:, (i + 2) % 3], corners[:, (i + 1) % 3])
+            slope = np.hypot((n * dx).sum(1), (n * dy).sum(1))
+            with np.errstate(all="ignore"):
+                own = np.fmin(own, abs((n * d).sum(1)) / slope)
+        distance = np.where(found, np.fmin(distance, own), distance)
+        plane = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        with np.errstate(all="ignore"):
+            nearness.append(np.where(found, (plane * d).sum(1) / (plane * corners[:, 0]).sum(1), 0.0))
+    near = distance <= bound
+    with np.errstate(all="ignore"):
+        tied = ~near & (abs(nearness[0] - nearness[1]) <= DEPTH_ROUNDING * np.maximum(*nearness))
+    worst = int(np.argmax(np.where(np.isfinite(distance), distance / bound, 0))) if len(rows) else 0
+    return {
+        "near_edge": int(near.sum()),
+        "tied": int(tied.sum()),
+        "unexplained": int((~near & ~tied).sum()),
+        "edge_distance": float(distance[worst]) if len(rows) else 0.0,
+        "edge_bound": float(bound[worst]) if len(rows) else 0.0,
+    }
+
+
+def methods_of(names: str | None) -> list[tuple[str, dict[str, str]]]:
+    """Methods with their options."""
+    chosen = names.split(",") if names else [*METHODS, "raycast-brute:barycentric"]
+    split = [name.partition(":") for name in chosen]
+    return [(name, {"intersection": kind} if kind else {}) for name, _, kind in split]
+
+
+def check(
+    name: str, scene: Scene, methods: list[tuple[str, dict[str, str]]], size: tuple[int, int]
+) -> Iterator[Result]:
+    """Every method on every view of a scene, against REFERENCE."""
+    for view, camera in cameras(scene).items():
+        common = {"size": size, "aov": ("id", "depth"), "effects": {"alpha mask": "off", "alpha blend": "off"}}
+        right = render(scene, camera, method=REFERENCE, **common)
+        for method, options in methods:
+            if method == REFERENCE and not options:
+                continue
+            frame = render(scene, camera, method=method, **options, **common)
+            ids = int((frame["id.prim"] != right["id.prim"]).sum())
+            depths = int((frame["Z"] != right["Z"]).sum())
+            exact = METHODS[method].edges == Edges.SPATIAL and not options
+            why = {} if exact else explain(scene, frame.stats, frame["id.prim"], right["id.prim"])
+            label = ":".join([method, *options.values()])
+            yield Result(name, view, label, ids, depths, **why)
+
+
+def is_spatial(result: Result) -> bool:
+    """Whether a method has 3D edges: then nothing may differ."""
+    return ":" not in result.method and METHODS[result.method].edges == Edges.SPATIAL
+
+
+def summary(results: list[Result]) -> str:
+    """Comparisons and differing samples of both kinds, in a line."""
+    same, others = [r for r in results if is_spatial(r)], [r for r in results if not is_spatial(r)]
+    return (
+        f"3D edges: {len(same)} compared, {sum(r.ids + r.depths for r in same)} samples differ; other edges: "
+        f"{len(others)} compared, {sum(r.ids for r in others)} differ: {sum(r.near_edge for r in others)} within "
+        f"rounding of an edge, {sum(r.tied for r in others)} equally near, "
+        f"{sum(r.unexplained for r in others)} unexplained"
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", help="files, or names of the suite; all where none is named")
+    parser.add_argument("--methods", help="comma list; raycast-brute:barycentric for the other intersection")
+    parser.add_argument("--size", default="1024x1024")
+    parser.add_argument("--json", metavar="FILE")
+    args = parser.parse_args()
+    size, methods, results = parse_size("--size", args.size), methods_of(args.methods), []
+    for name, scene in sources(args.scenes):
+        started = time.perf_counter()
+        found = list(check(name, scene, methods, size))
+        results += found
+        spent = time.perf_counter() - started
+        print(f"{name}: {scene.triangle_count} triangles, {summary(found)} ({spent:.0f} s)", flush=True)
+    print(f"{len(results)} comparisons: {summary(results)}")
+    for method in sorted({r.method for r in results}):
+        rows = [r for r in results if r.method == method]
+        worst = max(rows, key=lambda r: r.edge_distance / r.edge_bound if r.edge_bound else 0.0)
+        print(f"  {method}: {sum(r.ids for r in rows)} ids, {sum(r.depths for r in rows)} depths differ; "
+              f"farthest from an edge {worst.edge_distance:.2g} of {worst.edge_bound:.2g} pixels")  # fmt: skip
+    if args.json:
+        Path(args.json).write_text(json.dumps([asdict(r) for r in results], indent=1) + "\n", encoding="utf-8")
+    return int(any(r.unexplained or (is_spatial(r) and r.ids + r.depths) for r in results))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
