@@ -222,7 +222,7 @@ def test_suite_judges_the_findings(
     assert main(["compare", "--suite", "paper", "--suite-scale", "0.25", "--json", "-q"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert made == [(name, 0.25) for name in suite.SUITE]
-    assert [each["scene"] for each in report["scenes"]] == list(suite.SUITE)
+    assert [each["scene"] for each in report["scenes"]] == list(suite.VIEWS)
     assert [each["name"] for each in report["findings"]] == [each.name for each in findings.FINDINGS]
     verdict = {each["name"]: each["verdict"] for each in report["findings"]}
     assert verdict["brute force is faster in 3D"] == "holds" and verdict["binning does not pay"] == "not measured"

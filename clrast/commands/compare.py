@@ -197,12 +197,14 @@ def _measure(plan: Plan, show: Callable[[str], None], notes: list[str]) -> list[
 
         show(f"loading {plan.source}")
         return [_compare(load(plan.source), plan, plan.source, show, notes)]
-    from clrast.study.suite import SUITE, make_scene
+    from clrast.study.suite import VIEWS, make_scene, make_view
 
-    found = []
-    for name in SUITE:
+    found, made = [], {}
+    for name, view in VIEWS.items():
         show(f"making {name}")
-        scene = make_scene(name, scale=plan.suite_scale)
+        if view.scene not in made:
+            made = {view.scene: make_scene(view.scene, scale=plan.suite_scale)}
+        scene = make_view(name, made[view.scene])
         found.append(_compare(scene, plan, name, partial(_show_of_scene, show, name), notes))
     return found
 
@@ -226,9 +228,9 @@ def _compare(scene: Scene, plan: Plan, source: str, show: Callable[[str], None],
 
 def _judge(comparisons: Sequence[Comparison]) -> tuple[Verdict, ...]:
     from clrast.study.findings import Measured, judge_findings
-    from clrast.study.suite import SUITE
+    from clrast.study.suite import VIEWS
 
-    return judge_findings(Measured({each.scene: each for each in comparisons}, SUITE))
+    return judge_findings(Measured({each.scene: each for each in comparisons}, VIEWS))
 
 
 def _write_plots(paths: Sequence[str], comparisons: Sequence[Comparison]) -> None:

@@ -111,6 +111,38 @@ def check_request(name: str, scale: float, seed: int) -> None:
         raise UsageError(f"the seed is {seed}: give 0 or more")
 
 
+@dataclass(frozen=True)
+class SuiteView:
+    """A scene of the suite from one of its cameras. tiny, occluded : as of SuiteScene, of this view."""
+
+    name: str
+    scene: str
+    camera: str
+    tiny: bool
+    occluded: bool
+
+
+VIEWS: Mapping[str, SuiteView] = MappingProxyType({
+    view.name: view
+    for view in (
+        SuiteView("tiny", "tiny", "outside", tiny=True, occluded=False),
+        SuiteView("teapots", "teapots", "view", tiny=True, occluded=False),
+        SuiteView("teapots-occluded", "teapots-occluded", "view", tiny=True, occluded=True),
+        SuiteView("hall", "hall", "view", tiny=False, occluded=False),
+        SuiteView("city", "city", "outside", tiny=False, occluded=False),
+        SuiteView("city-street", "city", "inside", tiny=False, occluded=True),
+    )
+})  # fmt: skip
+"""What `clrast compare --suite paper` measures, in its order."""
+
+
+def make_view(name: str, made: Scene) -> Scene:
+    """The scene `made` of a view with that view's camera as its only one, and its name."""
+    view = VIEWS[name]
+    chosen = tuple(camera for camera in made.cameras if camera.name == view.camera)
+    return dataclasses.replace(made, cameras=chosen, name=name)
+
+
 def plan_scene(name: str, scale: float = 1.0, seed: int = SEED) -> Plan:
     """What the scene `name` is put together from; arguments as of `make_scene`."""
     check_request(name, scale, seed)
