@@ -45,11 +45,12 @@ INLINE void load_references(
 #pragma unroll
   for (uint lane = 0; lane < VECTOR_WIDTH; ++lane)
     PREFETCH_CORNERS(corners, reference_prims[min(first + PREFETCH_AHEAD + lane, end - 1)]);
+  const Triangles triangles = gather_triangles(corners, batch->prim_id);
 #if ALPHA_MASK
-  find_masked(batch, frame);
+  find_masked(batch, frame, triangles, view);
 #endif
   const int_v bounds = AS_INT_V(LOAD_V(reference_bounds + first));
-  fill_batch(batch, setup_triangles_at(gather_triangles(corners, batch->prim_id), view), frame,
+  fill_batch(batch, setup_triangles_at(triangles, view), frame,
              bounds & 0xff, bounds >> 8 & 0xff, bounds >> 16 & 0xff, bounds >> 24 & 0xff, LANES < (int)(end - first),
              lowest);
 }

@@ -195,7 +195,7 @@ kernel void setup_triangles(
       STORE_V(crossing, lane_crossing);
       STORE_V(low, lane_low);
       STORE_V(high, lane_high);
-      bound_crossing_lanes(lane_crossing, setup_triangles_at(triangles, view), view, lane_low, lane_high);
+      bound_crossing_lanes(lane_crossing, setup_triangles_3d(triangles, view), view, lane_low, lane_high);
       STORE_V(LOAD_V(lane_low), bounds_low + k);
       STORE_V(LOAD_V(lane_high), bounds_high + k);
 #if COUNTERS

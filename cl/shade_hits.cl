@@ -125,7 +125,7 @@ static inline Hit find_hit(
   hit.at.i2 = indices[3 * prim_id + 2];
   const float4 p0 = positions[hit.at.i0], p1 = positions[hit.at.i1], p2 = positions[hit.at.i2];
   const Vec3 a = {p0.x, p0.y, p0.z}, b = {p1.x, p1.y, p1.z}, c = {p2.x, p2.y, p2.z};
-  const TriangleSetup setup = setup_triangles_at(canonical_triangles(a, b, c), view);
+  const TriangleSetup setup = setup_triangles_3d(canonical_triangles(a, b, c), view);
   const float x = (float)column + (0.5f - view.center_x), y = (float)row + (0.5f - view.center_y);
   float v[3];
   for (uint i = 0; i < 3; ++i) v[i] = edge_value(setup.edge[i].c, setup.edge[i].gx, setup.edge[i].gy, x, y);

@@ -152,9 +152,8 @@ def depths(count: int) -> np.ndarray:
 def oblique(projection: str, width: int, height: int, scale: float = 1.0) -> CameraVectors:
     """A camera whose vectors are no short numbers; `scale` : of the world."""
     eye, at = (tuple(scale * c for c in point) for point in (EYE, (0.1, -0.2, 0.05)))
-    return camera_vectors(
-        Camera("oblique", projection, eye, at, (0.1, 1.0, 0.2), 60.0, 3.0 * scale), width, height  # type: ignore[arg-type]
-    )
+    camera = Camera("oblique", projection, eye, at, (0.1, 1.0, 0.2), 60.0, 3.0 * scale)  # type: ignore[arg-type]
+    return camera_vectors(camera, width, height)
 
 
 @cache

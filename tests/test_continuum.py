@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -95,8 +94,8 @@ def test_parallel_rays(device: Device) -> None:
 def test_every_rung(device: Device, precision: str) -> None:
     """Each rung has an image of its own, and all methods have it."""
     check(device, some("3dr-brute", "3dr-full"), precision=precision)
-    own = [(name, precision) for name in hard_scenes("perspective")]
-    assert any(differences(_EXPECTED[name, "perspective", rung, ""], midpoint_image(device, name)) for name, rung in own)
+    own = {name: _EXPECTED[name, "perspective", precision, ""] for name in hard_scenes("perspective")}
+    assert any(differences(image, midpoint_image(device, name)) for name, image in own.items())
 
 
 def midpoint_image(device: Device, name: str) -> dict[str, np.ndarray]:
@@ -283,7 +282,11 @@ def limited_loops(monkeypatch: pytest.MonkeyPatch, iterations: int) -> Iterator[
 
 @pytest.mark.parametrize(
     ("point", "first", "second"),
-    [(("3dr-full", ("frustum=32",)), 400, 1500), (("raycast-bvh", ()), 400, 1500), (("3dr-brute", ("frustum=16",)), 12, 400)],
+    [
+        (("3dr-full", ("frustum=32",)), 400, 1500),
+        (("raycast-bvh", ()), 400, 1500),
+        (("3dr-brute", ("frustum=16",)), 12, 400),
+    ],
     ids=["3dr-full", "raycast-bvh", "3dr-brute"],
 )
 def test_a_traversal_stops_and_goes_on(
@@ -296,8 +299,8 @@ def test_a_traversal_stops_and_goes_on(
     launches = []
     for iterations in (first, second):
         whole, _ = start(device, scene, view, aov=("id",), method=method, oracle=oracles)
-        set_apart = 8 * 4**whole.tile_log2  # for clearing and storing samples: RESERVED_ITERATIONS of traverse_frusta.cl
-        with limited_loops(monkeypatch, set_apart + iterations):
+        for_samples = 8 * 4**whole.tile_log2  # RESERVED_ITERATIONS of traverse_frusta.cl: clearing and storing them
+        with limited_loops(monkeypatch, for_samples + iterations):
             job, frame = start(device, scene, view, aov=("id", "depth"), method=method, oracle=oracles)
         assert differences({"id.prim": frame["id.prim"], "Z": frame["Z"].view(np.uint32)}, right) == "", iterations
         launches.append(job.tiles.launches - whole.tiles.launches)

@@ -14,8 +14,10 @@ import pytest
 
 from clrast.opencl import buffers, c_layout, kernels, layout
 from clrast.opencl.device import VECTOR_WIDTHS, Device
-from clrast.opencl.features import Features, Precision, Projection
+from clrast.opencl.features import Edges, Features, Precision, Projection
 from clrast.opencl.runtimes import PREFETCHING
+from clrast.visibility.methods import EVALUATIONS
+from clrast.visibility.oracles import ORACLES
 
 PACKAGE = Path(kernels.__file__).resolve().parents[1]
 PROGRAMS = sorted(path.name for path in kernels.kernel_folder().glob("*.cl"))
@@ -91,6 +93,8 @@ def test_enumerations_have_the_numbers_that_kernels_compare_with() -> None:
         assert layout.CONSTANTS.get(name, member.value) == member.value
     known = {f"{kind.__name__.upper()}_{m.name}" for kind in (Precision, Projection) for m in kind}
     assert {n for n in layout.CONSTANTS if n.startswith(("PRECISION_", "PROJECTION_"))} <= known
+    assert list(Edges) == [layout.EDGES_3D, layout.EDGES_2D, layout.EDGES_2DH, layout.EDGES_BARYCENTRIC]
+    assert list(EVALUATIONS.values()) == [layout.EVALUATION_DIRECT, layout.EVALUATION_INCREMENTAL]
 
 
 # --- features --------------------------------------------------------------------------------------
@@ -101,12 +105,39 @@ def values_in_use(name: str) -> list:
     default = getattr(Features(), name)
     if name == "vector_width":
         return list(VECTOR_WIDTHS)
+    if name == "tile_log2":
+        return [2, 5, 8]
+    if name in ORACLES:
+        return [number for number, _ in ORACLES[name].settings.values()]
+    if name == "evaluation":
+        return list(EVALUATIONS.values())
     if isinstance(default, bool):
         return [False, True]
+    if isinstance(default, Edges):
+        return list(Edges)
     if isinstance(default, (Precision, Projection)):
         prefix = type(default).__name__.upper()
         return [m for m in type(default) if f"{prefix}_{m.name}" in layout.CONSTANTS]
     return [default]
+
+
+MOST_COMBINATIONS = 300
+"""Of one program; where its features have more, all values of every two of them are combined, the others default."""
+
+
+def combinations_in_use(source: str, runtime: str) -> list[Features]:
+    """The features that a program of that text may be built for, as far as that can be done in minutes."""
+    defines = " ".join(Features().defines(source))
+    values = {f.name: values_in_use(f.name) for f in fields(Features) if f"-D {f.name.upper()}=" in defines}
+    if "prefetch" in values and runtime not in PREFETCHING:
+        values["prefetch"] = [False]  # never asked for there: see runtimes.py
+    together = [tuple(values)] if math.prod(map(len, values.values())) <= MOST_COMBINATIONS else []
+    made = {
+        Features(**dict(zip(names, chosen, strict=True)))
+        for names in together or itertools.combinations(values, 2)
+        for chosen in itertools.product(*(values[name] for name in names))
+    }
+    return sorted(made, key=lambda features: features.defines())
 
 
 def test_defines_cover_every_field_once() -> None:
@@ -142,13 +173,9 @@ def test_programs_build_for_each_single_feature(device: Device, name: str) -> No
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_programs_build_for_every_combination_that_they_read(device: Device, name: str) -> None:
-    source = kernels.source_text(name)
-    defines = " ".join(Features().defines(source))
-    read = [f.name for f in fields(Features) if f"-D {f.name.upper()}=" in defines]
-    in_use = [[False] if n == "prefetch" and device.runtime not in PREFETCHING else values_in_use(n) for n in read]
-    for values in itertools.product(*in_use):
-        kernels.build(device, name, Features(**dict(zip(read, values, strict=True))))
+def test_programs_build_for_the_combinations_that_they_read(device: Device, name: str) -> None:
+    for features in combinations_in_use(kernels.source_text(name), device.runtime):
+        kernels.build(device, name, features)
 
 
 # --- kernels' own rules ----------------------------------------------------------------------------

@@ -10,7 +10,9 @@ from typing import Annotated
 
 import typer
 
+from clrast.options import AVAILABLE_METHODS, listed
 from clrast.options import EFFECTS as EFFECT_NAMES
+from clrast.visibility.oracles import FRUSTUM_SIDES, ORACLES
 
 Texts = list[str] | None
 
@@ -61,18 +63,42 @@ ShadingRate = Annotated[
     Texts, _option("--shading-rate", metavar="RATE", text="pixel [default] or sample.", panel=ACCURACY)
 ]
 Evaluation = Annotated[
-    Texts, _option("--evaluation", metavar="WAY", text="Edge functions: direct [default].", panel=ACCURACY)
-]
+    Texts,
+    _option(
+        "--evaluation", metavar="WAY",
+        text="Edge functions: direct [default], or incremental, by sums from sample to sample.", panel=ACCURACY,
+    ),
+]  # fmt: skip
 Samples = Annotated[Texts, _option("--samples", metavar="N", text="Samples a pixel: 1 [default].", panel=ACCURACY)]
 Seed = Annotated[Texts, _option("--seed", metavar="N", text="Of random numbers [default: 0].", panel=ACCURACY)]
 MaxDepth = Annotated[Texts, typer.Option("--max-depth", metavar="N", hidden=True)]
 Quality = Annotated[Texts, typer.Option("--quality", metavar="NAME", hidden=True)]
 
 Method = Annotated[
-    Texts, _option("--method", metavar="NAME", text="auto or 3dr-binning [default: auto].", panel=METHOD)
-]
-Oracle = Annotated[Texts, typer.Option("--oracle", metavar="NAME=VALUE", hidden=True)]
-Intersection = Annotated[Texts, _option("--intersection", metavar="WAY", text="edge [default].", panel=METHOD)]
+    Texts,
+    _option(
+        "--method", metavar="NAME",
+        text=f"{listed(AVAILABLE_METHODS)} [default: auto, the fastest for scene and view]. The image is the same by "
+        "all that begin with 3dr or raycast.", panel=METHOD,
+    ),
+]  # fmt: skip
+Oracle = Annotated[
+    Texts,
+    _option(
+        "--oracle", metavar="NAME=VALUE",
+        text="Change one decision of a --method that has no tiles; may be given again. "
+        + "; ".join(f"{name}={'|'.join(oracle.settings)}" for name, oracle in ORACLES.items())
+        + f"; frustum=SIDE of the root frusta, {FRUSTUM_SIDES[0]} to {FRUSTUM_SIDES[1]} samples. "
+        "split_frustum takes a ratio of areas too, as in small:8.", panel=METHOD,
+    ),
+]  # fmt: skip
+Intersection = Annotated[
+    Texts,
+    _option(
+        "--intersection", metavar="WAY",
+        text="edge [default], or barycentric, by determinants, with --method raycast-brute.", panel=METHOD,
+    ),
+]  # fmt: skip
 Accelerator = Annotated[Texts, _option("--accelerator", metavar="NAME", text="auto [default].", panel=METHOD)]
 GridResolution = Annotated[Texts, typer.Option("--grid-resolution", metavar="N", hidden=True)]
 
@@ -97,15 +123,21 @@ Aov = Annotated[
     Texts,
     _option(
         "--aov", metavar="LIST",
-        text="Comma list of color, depth, distance, normal, position, bary, uv, albedo, ray, id; "
-        "or all [default: color,depth].",
+        text="Comma list of color, depth, distance, normal, position, bary, uv, albedo, ray, id, cost (what each "
+        "pixel took); or all, which is all but cost [default: color,depth].",
         panel=OUTPUTS,
     ),
 ]  # fmt: skip
 Stats = Annotated[
     Texts, _option("--stats", metavar="FILE", text="Camera, counts, times and effects as JSON.", panel=OUTPUTS)
 ]
-Counters = Annotated[bool, typer.Option("--counters", hidden=True)]
+Counters = Annotated[
+    bool,
+    _switch(
+        "--counters", panel=OUTPUTS,
+        text="Count setups, edge evaluations, tests and traversal steps, for --stats; slower, and the same pixels.",
+    ),
+]  # fmt: skip
 Report = Annotated[bool, _switch("--report", text="Print effects with reasons, and times.", panel=OUTPUTS)]
 Json = Annotated[bool, _switch("--json", text="Print the stats as JSON in place of the report.", panel=OUTPUTS)]
 Quiet = Annotated[bool, _switch("-q", "--quiet", text="No notes and no progress; warnings stay.", panel=OUTPUTS)]

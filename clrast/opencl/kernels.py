@@ -14,7 +14,7 @@ from clrast.errors import DeviceError
 from clrast.opencl import layout
 from clrast.opencl.binaries import BuildError, build_options, build_source
 from clrast.opencl.c_layout import constants_source, structs_source
-from clrast.opencl.features import Features, Precision, Projection
+from clrast.opencl.features import Edges, Features, Precision, Projection
 from clrast.opencl.runtimes import quiet_stderr
 
 if TYPE_CHECKING:
@@ -238,7 +238,7 @@ def arguments_from_source(source: str, kernel: str) -> list[Argument]:
 
 
 SCALAR_PROGRAMS = ("prepare_triangles.cl", "shade_hits.cl")
-"""Programs whose work-items are the lanes: vectors have one lane there, whatever the device's width."""
+"""Programs whose work-items are the lanes: vectors have one lane there, and edges are 3D, whatever decides samples."""
 
 
 def build(device: Device, name: str, features: Features | None = None, folder: Path | None = None) -> Program:
@@ -249,7 +249,7 @@ def build(device: Device, name: str, features: Features | None = None, folder: P
     source = _source_once(device, name, folder)
     features = features or Features(vector_width=device.vector_width)
     if name in SCALAR_PROGRAMS:
-        features = replace(features, vector_width=1)
+        features = replace(features, vector_width=1, edges=Edges.SPATIAL)
     defines = features.defines(source)
     key = (name, source, defines)
     program = device.programs.get(key)
