@@ -40,10 +40,9 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "no command given: use render, diff or devices"),
+        ([], "no command given: use render, diff, compare or devices"),
         (["rendr"], "did you mean render"),
         (["explain", "x.ply"], "'explain' is not available in this version"),
-        (["compare", "x.ply"], "'compare' is not available in this version"),
         (["cost", "x.ply"], "'cost' is not available in this version"),
         (["accuracy", "x.ply"], "'accuracy' is not available in this version"),
         (["stress", "--help"], "'stress' is not available in this version"),
@@ -267,7 +266,7 @@ def test_fov_is_ignored_by_an_orthographic_view(world: World, capsys: pytest.Cap
 # The program as a whole
 
 
-@pytest.mark.parametrize("verb", ["", "render", "diff", "devices"])
+@pytest.mark.parametrize("verb", ["", "render", "diff", "compare", "devices"])
 def test_help_has_one_example(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     if verb == "diff":
         pytest.importorskip("clrast.commands.diff", reason="diff is not there")
@@ -277,8 +276,8 @@ def test_help_has_one_example(verb: str, capsys: pytest.CaptureFixture[str]) -> 
     example = printed.out.split("Example:")[1].split("\n")[1]
     assert example.startswith(f"    clrast {verb or 'render'} ")
     if not verb:
-        assert all(word in printed.out for word in ("render", "diff", "devices"))
-        assert not any(word in printed.out for word in ("explain", "compare", "accuracy", "stress"))
+        assert all(word in printed.out for word in ("render", "diff", "compare", "devices"))
+        assert not any(word in printed.out for word in ("explain", "accuracy", "stress"))
 
 
 def test_every_example_parses() -> None:
@@ -287,7 +286,7 @@ def test_every_example_parses() -> None:
 
     from clrast.commands.app import EXAMPLES
 
-    for verb in ("", "render"):
+    for verb in ("", "render", "compare"):
         assert main(shlex.split(EXAMPLES[verb])[1:]) == 66
 
 

@@ -174,6 +174,8 @@ def test_the_same_render_is_the_same_file(square: Path, tmp_path: Path) -> None:
         ["-o", str(tmp_path / "else" / "b.exr"), *base[1:], base[0]],
         [*base, "-o", str(tmp_path / "c.exr"), "-t", "1", "--method", "3dr-binning", "--device", "0:0"],
         [*base, "-o", str(tmp_path / "d.exr"), "--threads", "2", "--repeat", "1", "--report", "--seed", "3"],
+        [*base, "-o", str(tmp_path / "e.exr"), "--method", "3dr-full", "--counters"],
+        [*base, "-o", str(tmp_path / "f.exr"), "--method", "raycast-bvh", "--oracle", "frustum=16,binning=blocks"],
     ]
     contents = []
     for variant in variants:

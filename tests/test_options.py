@@ -140,23 +140,24 @@ def test_fov_is_inside_0_and_180(degrees: float) -> None:
         ("precision", "exact", "--precision exact is not available in this version; use fast, ordered or midpoint"),
         ("precision", "double", "--precision double is not available"),
         ("precision", "fixed", "--precision fixed is not available"),
-        ("method", "raycast-bvh", "--method raycast-bvh is not available in this version; use auto or 3dr-binning"),
+        (
+            "method",
+            "raycast-grid",
+            "--method raycast-grid is not available in this version; use auto, .* or raycast-brute",
+        ),
+        ("method", "raycast-grid-multipass", "raycast-grid-multipass is not available in this version; use auto, "),
         ("mode", "path", "--mode path is not available in this version; use cast"),
         ("aa", "msaa:4", "--aa msaa:4 is not available in this version; use none"),
         ("aa", "csaa:4+12", "--aa csaa:4.12 is not available"),
         ("aa", "auto:0.01", "--aa auto:0.01 is not available"),
         ("samples", "16", "--samples 16 is not available in this version; use 1"),
-        ("evaluation", "incremental", "--evaluation incremental is not available"),
-        ("intersection", "barycentric", "--intersection barycentric is not available"),
         ("accelerator", "bvh", "--accelerator bvh is not available"),
-        ("oracle", "split_frustum=never", "--oracle is not available"),
+        ("accelerator", "grid", "--accelerator grid is not available"),
         ("max_depth", "3", "--max-depth is not available"),
         ("quality", "draft", "--quality draft is not available"),
         ("grid_resolution", "64", "--grid-resolution is not available"),
         ("time_budget", "1.5", "--time-budget is not available"),
         ("resume", "x.exr", "--resume is not available"),
-        ("counters", True, "--counters is not available in this version"),
-        ("aov", "color,cost", "--aov cost is not available in this version"),
         ("effects", "shadow=on", "--effects shadow=on is not available in this version; use auto or off"),
     ],
 )
@@ -169,7 +170,15 @@ def test_what_is_not_there_yet_says_so(name: str, value: str | bool, message: st
     ("name", "value", "message"),
     [
         ("precision", "midpiont", "use fast, ordered or midpoint .did you mean midpoint"),
-        ("method", "3dr-bining", "did you mean 3dr-binning"),
+        ("method", "3dr-bining", "use auto, 2dr-brute, .* or raycast-brute .did you mean 3dr-binning"),
+        ("method", "raycast-bhv", "did you mean raycast-bvh"),
+        ("method", "3DR-full", "did you mean 3dr-full"),
+        ("evaluation", "incrementel", "use direct or incremental .did you mean incremental"),
+        ("intersection", "determinant", "use edge or barycentric"),
+        ("counters", "yes", "use True or False"),
+        ("counters", 1, "use True or False"),
+        ("oracle", 3, "no text and no list of texts"),
+        ("oracle", "", "give NAME=VALUE"),
         ("mode", "trace", "use cast"),
         ("aa", "msaa", "use none"),
         ("threads", "0", "from 1 to"),
@@ -188,6 +197,31 @@ def test_nonsense_is_refused_with_what_is_allowed(name: str, value: str, message
         RenderOptions(**{name: value})
     assert not isinstance(caught.value, UnavailableError)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"oracle": "binning=never"}, "--oracle changes a method: name it, such as --method 3dr-full"),
+        ({"oracle": "binning=never", "method": "auto"}, "--oracle changes a method: name it"),
+        ({"oracle": "binning=never", "method": "3dr-binning"}, "--oracle: 3dr-binning has its lists of tiles"),
+        ({"oracle": "binning=never", "method": "2dh-binning"}, "use a frustum method"),
+        ({"intersection": "barycentric"}, "--intersection barycentric is of --method raycast-brute: give that method"),
+        ({"intersection": "barycentric", "method": "3dr-full"}, "is of --method raycast-brute: give that method"),
+    ],
+)
+def test_what_does_not_go_together_says_what_does(values: dict[str, str], message: str) -> None:
+    with pytest.raises(UsageError, match=message) as caught:
+        RenderOptions(**values)
+    assert not isinstance(caught.value, UnavailableError)
+
+
+def test_what_is_there_is_taken() -> None:
+    for method in o.AVAILABLE_METHODS:
+        assert RenderOptions(method=method, evaluation="incremental", counters=True, aov="cost").aov == ("cost",)
+    assert set(o.METHODS) - set(o.AVAILABLE_METHODS) == {"raycast-grid", "raycast-grid-multipass"}
+    made = RenderOptions(method="raycast-brute", intersection="barycentric", oracle=["frustum=8", "binning=blocks"])
+    assert (made.intersection, made.oracle) == ("barycentric", ("frustum=8", "binning=blocks"))
 
 
 def test_text_and_values_give_equal_options() -> None:
@@ -215,4 +249,26 @@ def test_header_has_a_fixed_order_and_nothing_of_the_machine() -> None:
         "version", "size", "projection", "mode", "precision", "aa", "effects", "camera.e", "camera.d0",
     ]  # fmt: skip
     assert header["effects"] == "textures,alpha_mask"
+    methods = [name for name in o.AVAILABLE_METHODS if name.startswith(("3dr-", "raycast-"))]
+    for method in methods:
+        more = {"counters": True, "oracle": "frustum=8"} if "binning" not in method else {}
+        assert resolved_header(RenderOptions(size="64x32", method=method, **more), vectors, []) == {
+            **header, "effects": "",
+        }  # fmt: skip
     assert header["camera.d0"] == (1.0, 2.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "key", "value"),
+    [
+        ({"evaluation": "incremental"}, "evaluation", "incremental"),
+        ({"method": "2dr-brute"}, "edges", "projected"),
+        ({"method": "2dh-binning"}, "edges", "homogeneous"),
+        ({"method": "raycast-brute", "intersection": "barycentric"}, "edges", "barycentric"),
+    ],
+)
+def test_header_names_what_decides_pixels_of_its_own(values: dict[str, str], key: str, value: str) -> None:
+    vectors = {"e": (0.0, 0.0, 1.0)}
+    plain = resolved_header(RenderOptions(size="64x32"), vectors)
+    header = resolved_header(RenderOptions(size="64x32", **values), vectors)
+    assert header == {**plain, key: value} and list(header)[-1] == "camera.e"

@@ -6,9 +6,9 @@
 
 Views: from outside and from inside (perspective). id.prim and Z of each method are held against 3dr-binning's. For 2D
 edges and for the barycentric form every sample that differs must lie within float32 rounding of an edge of one of
-the two triangles, or both must be equally near there within rounding; both are found in float64, and the largest
-distance and its bound are printed (bound: BOUND_SLACK of opencl/layout.py, derived in cl/setup_triangles.cl, for edges
-of a projected triangle; clipped ones are far outside the image and err in proportion).
+the two triangles, or one of these must be seen edge-on within rounding, or both must be equally near within it. What
+rounding can do is found by float64 twins of the formulas with running error bounds (tests/edge_twins.py), and for
+3D edges by BOUND_SLACK of opencl/layout.py, derived in cl/setup_triangles.cl.
 """
 
 from __future__ import annotations
@@ -25,15 +25,17 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tools"), str(ROOT / "tests")]
 
 from check_visibility import standard_views  # noqa: E402
+from edge_twins import Rounded, ViewTwin  # noqa: E402
 
 from clrast.errors import ClrastError  # noqa: E402
 from clrast.opencl.features import Edges  # noqa: E402
 from clrast.opencl.layout import BOUND_SLACK, NO_HIT  # noqa: E402
 from clrast.options import parse_size  # noqa: E402
 from clrast.renderer import render  # noqa: E402
+from clrast.scene.camera import CameraVectors, camera_vectors  # noqa: E402
 from clrast.scene.load import load  # noqa: E402
 from clrast.scene.model import Camera, Scene  # noqa: E402
 from clrast.study.suite import SUITE, make_scene  # noqa: E402
@@ -41,13 +43,11 @@ from clrast.visibility.methods import METHODS  # noqa: E402
 
 SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
 REFERENCE = "3dr-binning"
-DEPTH_ROUNDING = 2.0**-18
-"""Relative difference of w at which float32 may see either surface in front, of triangles that are not edge-on."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """One method on one view. edge_distance, edge_bound : pixels, of the sample for which their ratio is largest."""
+    """One method on one view. edge_distance : the largest of a sample that is within rounding of an edge, in pixels."""
 
     scene: str
     view: str
@@ -55,10 +55,10 @@ class Result:
     ids: int
     depths: int
     near_edge: int = 0
+    edge_on: int = 0
     tied: int = 0
     unexplained: int = 0
     edge_distance: float = 0.0
-    edge_bound: float = 0.0
 
 
 def sources(names: list[str]) -> Iterator[tuple[str, Scene]]:
@@ -87,41 +87,58 @@ def cameras(scene: Scene) -> dict[str, Camera]:
     }
 
 
-def explain(scene: Scene, stats: dict[str, Any], ids: np.ndarray, right: np.ndarray) -> dict[str, Any]:
-    """Why samples differ: the nearest edge of either triangle in pixels, and how far apart the two surfaces are."""
+def pixels_from_edge(corners: np.ndarray, d: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> np.ndarray:
+    """(count,) pixels from samples, of directions `d`, to the nearest edge; corners : (count, 3, 3), from the eye."""
+    nearest = np.full(len(d), np.inf)
+    for i in range(3):
+        n = np.cross(corners[:, (i + 2) % 3], corners[:, (i + 1) % 3])
+        with np.errstate(all="ignore"):
+            nearest = np.fmin(nearest, abs((n * d).sum(1)) / np.hypot((n * dx).sum(1), (n * dy).sum(1)))
+    return nearest
+
+
+def explain(
+    scene: Scene, vectors: CameraVectors, edges: Edges, ids: np.ndarray, right: np.ndarray
+) -> dict[str, Any]:
+    """Why samples differ: an edge of either triangle within rounding, of 3D edges or of the method's own, a triangle
+    seen edge-on within rounding, or two surfaces equally near within it."""
     rows, columns = np.nonzero(ids != right)
-    e, d0, dx, dy = (np.array(stats["camera"][name], dtype=np.float64) for name in ("e", "d0", "dx", "dy"))
+    e, d0, dx, dy = (np.array(v, dtype=np.float64) for v in vectors.named().values())
+    x, y = columns + 0.5 - vectors.width / 2, rows + 0.5 - vectors.height / 2
     d = d0 + (columns[:, None] + 0.5) * dx + (rows[:, None] + 0.5) * dy
     focal = 1 / np.sqrt(min(dx @ dx, dy @ dy))
-    height, width = ids.shape
-    x, y = abs(columns + 0.5 - width / 2), abs(rows + 0.5 - height / 2)
-    bound = BOUND_SLACK * (focal + x + y) ** 2 / focal
-    distance = np.full(len(rows), np.inf)
-    nearness = []
+    bound = BOUND_SLACK * (focal + abs(x) + abs(y)) ** 2 / focal
+    twin = ViewTwin(vectors)
+    find = {Edges.PROJECTED: twin.projected, Edges.HOMOGENEOUS: twin.homogeneous, Edges.BARYCENTRIC: twin.barycentric}
+    near, edge_on = np.zeros((2, len(rows)), dtype=bool)
+    distance, nearness = np.full(len(rows), np.inf), []
     for prims in (ids[rows, columns], right[rows, columns]):
         found = prims != NO_HIT
-        corners = scene.positions[scene.triangles[np.where(found, prims, 0)]].astype(np.float64) - e
-        own = np.full(len(rows), np.inf)
-        for i in range(3):
-            n = np.cross(corners[:, (i + 2) % 3], corners[:, (i + 1) % 3])
-            slope = np.hypot((n * dx).sum(1), (n * dy).sum(1))
-            with np.errstate(all="ignore"):
-                own = np.fmin(own, abs((n * d).sum(1)) / slope)
-        distance = np.where(found, np.fmin(distance, own), distance)
-        plane = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        with np.errstate(all="ignore"):
-            nearness.append(np.where(found, (plane * d).sum(1) / (plane * corners[:, 0]).sum(1), 0.0))
-    near = distance <= bound
-    with np.errstate(all="ignore"):
-        tied = ~near & (abs(nearness[0] - nearness[1]) <= DEPTH_ROUNDING * np.maximum(*nearness))
-    worst = int(np.argmax(np.where(np.isfinite(distance), distance / bound, 0))) if len(rows) else 0
+        corners = scene.positions[scene.triangles[np.where(found, prims, 0)]].astype(np.float64)
+        setup = find[edges](corners)
+        for edge, hidden in zip(setup.edges, setup.hidden, strict=True):
+            near |= found & ~hidden & ~at_samples(edge, x, y).is_certain()
+        edge_on |= found & ~setup.is_certain()
+        own = at_samples(setup.nearness, x, y)
+        nearness.append((np.where(found, own.value, 0.0), np.where(found, own.error, 0.0)))
+        distance = np.where(found, np.fmin(distance, pixels_from_edge(corners - e, d, dx, dy)), distance)
+    near |= distance <= bound
+    (a, a_error), (b, b_error) = nearness
+    tied = ~near & ~edge_on & (abs(a - b) <= a_error + b_error)
+    worst = int(np.argmax(np.where(near, distance, 0))) if len(rows) else 0
     return {
         "near_edge": int(near.sum()),
+        "edge_on": int((edge_on & ~near).sum()),
         "tied": int(tied.sum()),
-        "unexplained": int((~near & ~tied).sum()),
-        "edge_distance": float(distance[worst]) if len(rows) else 0.0,
-        "edge_bound": float(bound[worst]) if len(rows) else 0.0,
+        "unexplained": int((~near & ~edge_on & ~tied).sum()),
+        "edge_distance": float(distance[worst]) if near.any() else 0.0,
     }
+
+
+def at_samples(coefficients: list[Rounded], x: np.ndarray, y: np.ndarray) -> Rounded:
+    """A function over the screen at a sample of each triangle."""
+    c, gx, gy = coefficients
+    return (c + gx * x) + gy * y
 
 
 def methods_of(names: str | None) -> list[tuple[str, dict[str, str]]]:
@@ -148,8 +165,10 @@ def check(
             frame = render(scene, camera, method=method, **options, **common)
             ids = int((frame["id.prim"] != right["id.prim"]).sum())
             depths = int((frame["Z"] != right["Z"]).sum())
-            exact = METHODS[method].edges == Edges.SPATIAL and not options
-            why = {} if exact else explain(scene, frame.stats, frame["id.prim"], right["id.prim"])
+            edges = Edges.BARYCENTRIC if options else METHODS[method].edges
+            vectors, why = camera_vectors(camera, *size), {}
+            if edges != Edges.SPATIAL:
+                why = explain(scene, vectors, edges, frame["id.prim"], right["id.prim"])
             label = ":".join([method, *options.values()])
             yield Result(name, view, label, ids, depths, **why)
 
@@ -165,7 +184,7 @@ def summary(results: list[Result]) -> str:
     return (
         f"3D edges: {len(same)} compared, {sum(r.ids + r.depths for r in same)} samples differ; other edges: "
         f"{len(others)} compared, {sum(r.ids for r in others)} differ: {sum(r.near_edge for r in others)} within "
-        f"rounding of an edge, {sum(r.tied for r in others)} equally near, "
+        f"rounding of an edge, {sum(r.edge_on for r in others)} edge-on, {sum(r.tied for r in others)} equally near, "
         f"{sum(r.unexplained for r in others)} unexplained"
     )
 
@@ -187,9 +206,9 @@ def main() -> int:
     print(f"{len(results)} comparisons: {summary(results)}")
     for method in sorted({r.method for r in results}):
         rows = [r for r in results if r.method == method]
-        worst = max(rows, key=lambda r: r.edge_distance / r.edge_bound if r.edge_bound else 0.0)
+        far = max(r.edge_distance for r in rows)
         print(f"  {method}: {sum(r.ids for r in rows)} ids, {sum(r.depths for r in rows)} depths differ; "
-              f"farthest from an edge {worst.edge_distance:.2g} of {worst.edge_bound:.2g} pixels")  # fmt: skip
+              f"within rounding of an edge at up to {far:.2g} pixels from it")  # fmt: skip
     if args.json:
         Path(args.json).write_text(json.dumps([asdict(r) for r in results], indent=1) + "\n", encoding="utf-8")
     return int(any(r.unexplained or (is_spatial(r) and r.ids + r.depths) for r in results))

@@ -91,6 +91,8 @@ def _notes(comparison: Comparison) -> list[str]:
     best = comparison.fastest
     level = f"; within its spread: {', '.join(comparison.as_fast)}" if comparison.as_fast else ""
     lines = [f"fastest: {best.method}, {best.median_ms:.2f} ms of setup, bin and visibility{level}"]
+    if comparison.auto is not None:
+        lines.append(f"auto takes {comparison.auto.method}{_auto_ratio(comparison)} ({comparison.auto.reason})")
     if comparison.row(BASELINE) is None:
         why = comparison.skipped.get(BASELINE, "it is not among the --methods")
         lines.append(f"nothing to be relative to: {BASELINE} was not measured ({why})")
@@ -108,6 +110,13 @@ def _notes(comparison: Comparison) -> list[str]:
         if row.differing_pixels
     ]
     return lines
+
+
+def _auto_ratio(comparison: Comparison) -> str:
+    best, ratio = comparison.fastest_exact, comparison.auto_ratio
+    if best is None or ratio is None:
+        return ""
+    return f": {ratio:.2f} x the time of {best.method}, the fastest with 3D edges"
 
 
 def _frames(row: MethodRow) -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import random
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -25,6 +25,7 @@ from clrast.renderer import RenderJob
 from clrast.scene.camera import CameraVectors, camera_vectors
 from clrast.scene.model import Camera, Scene
 from clrast.shading.effects import EffectPlan, plan_effects
+from clrast.study.auto_choice import AutoChoice, choose_automatically
 from clrast.study.operation_counts import Cost, cost_summary, kernel_cost, paper_cost
 from clrast.visibility.methods import AUTO, BASELINE
 
@@ -152,6 +153,7 @@ class Comparison:
     budget_s: float
     rows: tuple[MethodRow, ...]
     skipped: Mapping[str, str] = field(default_factory=dict)
+    auto: AutoChoice | None = None
 
     def row(self, method: str) -> MethodRow | None:
         return next((row for row in self.rows if row.method == method), None)
@@ -185,6 +187,19 @@ class Comparison:
         return row.percentile(10) > other.percentile(90) or other.percentile(10) > row.percentile(90)
 
     @property
+    def fastest_exact(self) -> MethodRow | None:
+        """The fastest whose edges are 3D: `auto` chooses among these, which give one image."""
+        rows = [row for row in self.rows if row.edges == Edges.SPATIAL]
+        return min(rows, key=lambda row: row.median_ms, default=None)
+
+    @property
+    def auto_ratio(self) -> float | None:
+        """Time of what `auto` takes over that of `fastest_exact`."""
+        if self.auto is None or self.fastest_exact is None:
+            return None
+        return self.time_ratio(self.auto.method, self.fastest_exact.method)
+
+    @property
     def as_fast(self) -> tuple[str, ...]:
         """Other methods that the spread does not tell from the fastest."""
         best = self.fastest
@@ -211,6 +226,7 @@ class Comparison:
             "budget_s": self.budget_s,
             "fastest": self.fastest.method,
             "as_fast": list(self.as_fast),
+            "auto": None if self.auto is None else {**asdict(self.auto), "ratio": self.auto_ratio},
             "methods": [self._row_dict(row) for row in self.rows],
             "skipped": dict(self.skipped),
             "operations": cost_summary(kinds, Precision[self.precision.upper()], Projection[self.projection.upper()]),
@@ -288,7 +304,7 @@ def compare_scene(
     )  # fmt: skip
     return Comparison(
         scene.name, scene.triangle_count, options.size, device.name, options.precision, vectors.projection,
-        repetitions, budget_s, rows, skipped,
+        repetitions, budget_s, rows, skipped, choose_automatically(device, scene, vectors, options, plan),
     )  # fmt: skip
 
 
