@@ -26,24 +26,18 @@ MADE_UP: Mapping[str, Point] = {
     "vectors of rays with everything": ("3dr-full", ("frustum=4",)),
     "single packets that never split": ("3dr-full", ("frustum=8", "binning=never")),
     "packets of 16": ("3dr-full", ("frustum=16", "split_frustum=small:1")),
-    "32, split at once, no binning": ("3dr-full", ("frustum=32", "split_frustum=always", "binning=never")),
+    "32, split at once": ("3dr-full", ("frustum=32", "is_outside=never", "split_frustum=always")),
     "128, split at the centre": ("3dr-full", ("frustum=128", "split_frustum=center")),
-    "256, split at once": ("3dr-full", ("frustum=256", "split_frustum=always")),
     "256, split for the smallest nodes": ("3dr-full", ("frustum=256", "split_frustum=small:65536")),
     "never outside": ("3dr-full", ("is_outside=never",)),
     "never occluded": ("3dr-full", ("is_occluded=never",)),
     "nothing is dropped": ("3dr-full", ("is_outside=never", "is_occluded=never", "split_frustum=never")),
-    "never outside, split at once": ("3dr-full", ("is_outside=never", "split_frustum=always", "frustum=32")),
     "splitting alone": ("3dr-full", ("is_occluded=never", "binning=never", "split_frustum=always")),
     "binning at the root": ("3dr-full", ("generate_samples=root", "split_frustum=never")),
-    "binning at the root of a packet": ("3dr-full", ("generate_samples=root", "frustum=8")),
-    "occlusion at the root, without binning": ("3dr-full", ("generate_samples=root", "binning=never", "frustum=16")),
+    "occlusion at the root of a packet": ("3dr-full", ("generate_samples=root", "binning=never", "frustum=8")),
+    "a tree under Durand's loop": ("raycast-brute", ("generate_samples=leaf",)),
 }
 """Oracles that no method puts together."""
-
-LEAST_ALIKE = ("3dr-brute", "3dr-full", "raycast-bvh")
-"""Rows that stand for all of them where a setting is not about the oracles."""
-
 
 EYE = (0.3, 0.7, 2.5)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from clrast import renderer
+from clrast import job as job_module
 from clrast.image.frame import Frame
 from clrast.opencl import layout
 from clrast.opencl.device import Device
@@ -96,15 +96,15 @@ def with_material(scene: Scene, **fields: Any) -> Scene:
 @contextmanager
 def settings(tile_log2: int = 5, chunk_count: int | None = None) -> Iterator[None]:
     """Tile size and number of chunks meanwhile; no pixel may depend on either."""
-    before = renderer.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT
-    renderer.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT = tile_log2, chunk_count or screen_bounds.CHUNK_COUNT
+    before = job_module.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT
+    job_module.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT = tile_log2, chunk_count or screen_bounds.CHUNK_COUNT
     try:
         yield
     finally:
-        renderer.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT = before
+        job_module.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT = before
 
 
-def start(device: Device, scene: Scene, view: CameraVectors, **options: Any) -> tuple[renderer.RenderJob, Frame]:
+def start(device: Device, scene: Scene, view: CameraVectors, **options: Any) -> tuple[job_module.RenderJob, Frame]:
     """A whole render with camera vectors as given, so that they can be short numbers; the job is kept, too.
 
     vector_width : in place of the device's own.
@@ -113,7 +113,7 @@ def start(device: Device, scene: Scene, view: CameraVectors, **options: Any) -> 
     given = make_options({"size": (view.width, view.height), "device": device.runtime, **options})
     if width:
         device = replace(device, vector_width=width)
-    job = renderer.RenderJob(device, scene, view, given, plan_effects(scene, given.aov, given.effects))
+    job = job_module.RenderJob(device, scene, view, given, plan_effects(scene, given.aov, given.effects))
     channels = job.allocate()
     job.render_frame(channels, first=True)
     return job, Frame(channels, {}, job.stats())

@@ -12,13 +12,20 @@ from continuum_world import ROWS, differences, glass_and_leaves, images, oblique
 from exact_visibility import exact_visibility
 from kernel_world import NO_HIT, make_scene, orthographic, start
 
-from clrast import renderer
+from clrast import job as job_module
+from clrast.job import RenderJob
 from clrast.opencl import kernels
 from clrast.opencl.device import Device
 from clrast.opencl.layout import EMPTY_CHILD, LARGE_BLOCK_COUNT, MIN_FRUSTUM_LOG2, WORK_COUNTERS
-from clrast.renderer import RenderJob
 from clrast.scene.model import Scene
 from clrast.visibility.methods import resolve_method
+
+
+@pytest.fixture(autouse=True)
+def _no_stored_binaries(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in test_continuum.py."""
+    monkeypatch.setenv("CLRAST_CACHE_DIR", "off")
+
 
 SIDE = 64
 VIEW = orthographic(SIDE, SIDE)
@@ -123,6 +130,16 @@ def test_splitting_at_once_ends_at_the_smallest_frusta(device: Device, frustum: 
     assert found["traversal_steps"] == root_count(job) * children_of_root(job)
     assert found["setups"] == 2 * (SIDE >> MIN_FRUSTUM_LOG2) ** 2
     assert (frustum == 8) == (found["frusta_split"] == 0)
+
+
+def test_a_triangle_is_set_up_once_in_each_root_that_its_bound_touches(device: Device) -> None:
+    """Through all leaves of a tree, where nothing is dropped but what lies outside."""
+    scene = make_scene(soup(9, 200) * (20, 20, 1) + (32, -32, -9))
+    job, found = counts(device, scene, "3dr-full", oracle=("is_occluded=never", "split_frustum=never"))
+    x0, y0, x1, y1 = job.tiles.bounds.read().T
+    side = 1 << job.tile_log2
+    touched = (-(-x1 // side) - x0 // side) * (-(-y1 // side) - y0 // side)
+    assert found["setups"] == touched.sum() > 100 and found["hits"] > 1000
 
 
 @pytest.mark.parametrize("order", ["front to back", "back to front"])
@@ -234,13 +251,12 @@ def test_counters_change_no_pixel(device: Device, method: str) -> None:
 
 def test_counters_change_no_layer(device: Device) -> None:
     scene, view = glass_and_leaves(38), oblique("perspective", 40, 31)
-    for method in ("3dr-binning", "raycast-bvh"):
-        plain, counted = (
-            start(device, scene, view, aov=("color", "id"), method=method, counters=on)[1] for on in (False, True)
-        )
-        for name in ("R", "G", "B", "A", "id.prim"):
-            np.testing.assert_array_equal(counted[name], plain[name])
-        assert counted.stats["counts"]["passes"] > 2
+    plain, counted = (
+        start(device, scene, view, aov=("color", "id"), method="raycast-bvh", counters=on)[1] for on in (False, True)
+    )
+    for name in ("R", "G", "B", "A", "id.prim"):
+        np.testing.assert_array_equal(counted[name], plain[name])
+    assert counted.stats["counts"]["passes"] > 2
 
 
 @pytest.mark.parametrize("method", ["3dr-binning", "3dr-full", "3dr-brute"])
@@ -305,4 +321,4 @@ def test_every_method_of_the_table_counts(device: Device) -> None:
         splits = method.oracles["split_frustum"].setting != "never"
         assert (found["frusta_split"] > 0) == (splits and not method.tiles), name
         assert (found["traversal_steps"] > 0) == method.needs_bvh
-        assert renderer.square_log2(device, method, SIDE * SIDE) >= 2
+        assert job_module.square_log2(device, method, SIDE * SIDE) >= 2

@@ -214,6 +214,7 @@ FLOORS = (
     "options",
     "shading",
     "image",
+    "job",
     "renderer",
     "study",
     "commands",

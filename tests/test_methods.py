@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from clrast import options
 from clrast.errors import UsageError
+from clrast.job import RenderJob
 from clrast.opencl import kernels, layout
 from clrast.opencl.device import Device
 from clrast.opencl.features import Edges, Features
 from clrast.options import RenderOptions, make_options
-from clrast.renderer import RenderJob
 from clrast.shading.effects import plan_effects
 from clrast.visibility import methods, oracles
 from clrast.visibility.frusta import stack_capacity

@@ -18,10 +18,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from clrast.errors import DeviceError, UsageError
+from clrast.job import RenderJob
 from clrast.opencl.device import Device, open_device
 from clrast.opencl.features import Edges, Precision, Projection
 from clrast.options import AVAILABLE_METHODS, METHODS, RenderOptions
-from clrast.renderer import RenderJob
 from clrast.scene.camera import CameraVectors, camera_vectors
 from clrast.scene.model import Camera, Scene
 from clrast.shading.effects import EffectPlan, plan_effects

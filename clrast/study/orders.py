@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from clrast.job import RenderJob
 from clrast.opencl.device import open_device
 from clrast.opencl.layout import NO_HIT
 from clrast.options import RenderOptions
-from clrast.renderer import RenderJob
 from clrast.scene.camera import camera_vectors
 from clrast.scene.model import Camera, Scene
 from clrast.shading.effects import plan_effects

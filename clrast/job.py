@@ -1,0 +1,357 @@
+"""One view of one scene on one device: uploads once, renders any number of equal frames."""
+
+from __future__ import annotations
+
+import time
+import weakref
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from clrast.errors import CapacityError
+from clrast.image.frame import CHANNEL_GROUPS, channels_of
+from clrast.opencl import buffers
+from clrast.opencl.device import Device
+from clrast.opencl.features import Features, Precision, Projection
+from clrast.opencl.layout import NO_HIT
+from clrast.opencl.runtimes import PREFETCHING
+from clrast.options import RenderOptions
+from clrast.scene.camera import CameraVectors
+from clrast.scene.model import Scene
+from clrast.shading.effects import EffectPlan
+from clrast.shading.shade import Shader, channel_names
+from clrast.shading.surfaces import MASK_ARGUMENTS, SurfaceBuffers
+from clrast.visibility.bands import BandPlan, plan_bands
+from clrast.visibility.bvh import Bvh, build_bvh
+from clrast.visibility.cost_model import DEFAULT, StageTimes, ViewCounts
+from clrast.visibility.frusta import FrustumTraversal, stack_capacity
+from clrast.visibility.geometry import build_geometry
+from clrast.visibility.loop_limits import loop_limit
+from clrast.visibility.methods import AUTO, Method, resolve_method
+from clrast.visibility.screen_bounds import BOUND_BYTES
+from clrast.visibility.tiles import TileRasterizer
+from clrast.visibility.view import build_view
+from clrast.visibility.work import COST_PLANES, WorkCounters
+
+TILE_LOG2_SMALL, TILE_LOG2_LARGE = 5, 6
+LARGE_IMAGE = 1 << 19
+"""Pixels from which on tiles of 64 x 64 are faster than 32 x 32: fewer lists, and still enough for all threads."""
+MAX_FRUSTUM_LOG2_OF_SCALARS = 5
+"""Largest root frustum where a work item takes one sample at a time: it is such devices' only parallelism."""
+
+MEMORY_SHARE = 0.75
+"""Part of the device's memory that is the budget where --memory names none."""
+
+
+_HIERARCHIES: dict[int, tuple[weakref.ref[Scene], Bvh, float]] = {}
+
+
+def hierarchy_of(scene: Scene) -> tuple[Bvh, float]:
+    """The BVH over a scene's triangles and the milliseconds that its build took; built once for a scene object."""
+    found = _HIERARCHIES.get(id(scene))
+    if found is None or found[0]() is not scene:
+        started = time.perf_counter()
+        bvh = build_bvh(scene.positions, scene.triangles)
+        found = (weakref.ref(scene), bvh, 1000 * (time.perf_counter() - started))
+        for key in [key for key, each in _HIERARCHIES.items() if each[0]() is None]:
+            del _HIERARCHIES[key]
+        _HIERARCHIES[id(scene)] = found
+    return found[1], found[2]
+
+
+def named_method(options: RenderOptions) -> Method:
+    """The method that the options name, with their oracles; the default one for `auto`."""
+    if options.method == AUTO:
+        return resolve_method(DEFAULT, evaluation=options.evaluation)
+    return resolve_method(
+        options.method, options.oracle, intersection=options.intersection, evaluation=options.evaluation
+    )
+
+
+def square_log2(device: Device, method: Method, pixel_count: int) -> int:
+    """Side of the tiles or root frusta that a work item takes, as a power of two."""
+    if method.tiles:
+        large = pixel_count >= LARGE_IMAGE and loop_limit(device) is None
+        return TILE_LOG2_LARGE if large else TILE_LOG2_SMALL
+    side_log2 = method.frustum.bit_length() - 1
+    return side_log2 if device.vector_width > 1 else min(side_log2, MAX_FRUSTUM_LOG2_OF_SCALARS)
+
+
+def make_features(
+    device: Device,
+    scene: Scene,
+    vectors: CameraVectors,
+    options: RenderOptions,
+    plan: EffectPlan,
+    method: Method,
+    bvh: Bvh | None,
+) -> Features:
+    """The build options of all kernels of one render."""
+    tile_log2 = square_log2(device, method, options.size[0] * options.size[1])
+    limited = loop_limit(device) is not None
+    return method.configure(Features(
+        vector_width=device.vector_width,
+        tile_log2=tile_log2,
+        precision=Precision[options.precision.upper()],
+        projection=Projection[vectors.projection.upper()],
+        keep_nearness=plan["alpha blend"] or limited,
+        prefetch=device.runtime in PREFETCHING,
+        alpha_mask=plan["alpha mask"],
+        alpha_blend=plan["alpha blend"],
+        textures=plan["textures"],
+        normal_interpolation=plan["normal interpolation"],
+        emission=plan["emission"],
+        vertex_colors=scene.colors is not None,
+        lit=bool(scene.lights),
+        counters=options.counters or "cost" in options.aov,
+        node_bounds=not method.tiles,
+        leaf_order=method.needs_bvh,
+        stack_capacity=stack_capacity(bvh.depth, tile_log2) if bvh is not None else 1,
+        resumable=not method.tiles and limited,
+    ))
+
+
+class RenderJob:
+    """One view of one scene on one device: uploads once, renders any number of equal frames."""
+
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        vectors: CameraVectors,
+        options: RenderOptions,
+        plan: EffectPlan,
+        method: Method | None = None,
+    ) -> None:
+        self.device, self.scene, self.vectors, self.options, self.plan = device, scene, vectors, options, plan
+        self.times: dict[str, float] = {}
+        self.method = method or named_method(options)
+        self.reason: str | None = None
+        self.trial_ms = 0.0
+        bvh, self.times["build"] = hierarchy_of(scene) if self.method.needs_bvh else (None, 0.0)
+        self.features = make_features(device, scene, vectors, options, plan, self.method, bvh)
+        self.tile_log2 = self.features.tile_log2
+        low, high = scene.bounding_box()
+        self.view = build_view(vectors, low, high, self.tile_log2)
+        self.groups = tuple(group for group in options.aov if group != "cost")
+        started = time.perf_counter()
+        self.geometry = build_geometry(
+            device, self.features, scene.positions, scene.triangles, float(self.view["world_scale"]), bvh
+        )
+        self.times["prepare"] = 1000 * (time.perf_counter() - started)
+        started = time.perf_counter()
+        self.surfaces = SurfaceBuffers(device, scene, plan, reads_uv="uv" in self.groups)
+        self.times["upload"] = 1000 * (time.perf_counter() - started)
+        self.scene_bytes = self.geometry.nbytes + self.surfaces.nbytes
+        self.bands = self._plan_bands()
+        started = time.perf_counter()
+        self.work = WorkCounters(device, self.bands.max_pixels) if self.features.counters else None
+        self.tiles = self._make_visibility()
+        self.shader = Shader(
+            device,
+            self.features,
+            self.geometry,
+            self.surfaces,
+            self.groups,
+            len(scene.lights),
+            self.bands.max_pixels,
+        )
+        self.times["kernels"] = 1000 * (time.perf_counter() - started)
+        self.hit_count = 0
+        self.launches = self.passes = self.reference_peak = self.band_count = 0
+
+    def _make_visibility(self) -> TileRasterizer | FrustumTraversal:
+        masks = self.surfaces.named(*MASK_ARGUMENTS)
+        common = (self.view, self.geometry, masks, self.bands.band_rows, self.work)
+        if self.method.tiles:
+            return TileRasterizer(self.device, self.features, *common)
+        return FrustumTraversal(self.device, self.features, self.method, *common)
+
+    def _plan_bands(self) -> BandPlan:
+        per_pixel = 4 + Shader.bytes_per_pixel(self.groups)
+        if self.features.keep_nearness:
+            per_pixel += 4
+        if self.plan["alpha blend"]:
+            per_pixel += 8
+        if self.features.counters:
+            per_pixel += 4 * COST_PLANES
+        return plan_bands(
+            self.view,
+            self.tile_log2,
+            fixed_bytes=self.scene_bytes + BOUND_BYTES * self.scene.triangle_count,
+            pixel_bytes=per_pixel,
+            piece_bytes=4 * max(1, len(channel_names(self.groups))),
+            budget=self.options.memory or int(MEMORY_SHARE * self.device.global_memory_bytes),
+            max_piece=self.device.max_allocation_bytes,
+            limited=loop_limit(self.device) is not None,
+        )
+
+    def allocate(self) -> dict[str, np.ndarray]:
+        """The channel arrays of the frame, in file order."""
+        width, height = self.options.size
+        channels = {}
+        for name in channels_of(self.options.aov):
+            channels[name] = np.zeros((height, width), dtype=np.uint32 if name.startswith("id.") else np.float32)
+        return channels
+
+    def time_frame(self) -> StageTimes:
+        """Setup, bin and visibility of the whole image, timed; nothing is shaded."""
+        self._frame_times: dict[str, float] = {}
+        rows = int(self.view["tile_rows"])
+        self._timed("setup", self.tiles.setup)
+        self._timed("bin", partial(self.tiles.start_band, 0, rows))
+        self._timed("bin", self.tiles.finish_lists)
+        self._timed("visibility", self.tiles.rasterize)
+        return StageTimes(**self._frame_times)
+
+    def count_view(self) -> ViewCounts:
+        """What the last frame showed."""
+        width, height = self.options.size
+        prims = buffers.download(self.device, self.tiles.visible_prims, np.uint32, width * height)
+        hits = prims[prims != NO_HIT]
+        seen = np.bincount(hits, minlength=1)
+        areas = self.tiles.bounds.areas()
+        return ViewCounts(
+            seen=int(np.count_nonzero(seen)),
+            in_view=int(np.count_nonzero(areas)),
+            references=self.tiles.list_length(),
+            bound_samples=int(areas.sum()),
+            hits=len(hits),
+        )
+
+    def _timed(self, stage: str, work: Callable[[], Any]) -> Any:
+        started = time.perf_counter()
+        result = work()
+        self.device.queue.finish()
+        self._frame_times[stage] = self._frame_times.get(stage, 0.0) + 1000 * (time.perf_counter() - started)
+        return result
+
+    def render_frame(self, channels: dict[str, np.ndarray], first: bool) -> None:
+        """Render all bands into `channels`; keeps the smallest time of each stage unless `first`."""
+        self._frame_times = {}
+        self.hit_count = self.passes = self.band_count = 0
+        self.launches = -self.tiles.launches - self.shader.launches
+        if self.work is not None:
+            self.work.clear()
+        self._timed("setup", self.tiles.setup)
+        for row, rows in self.bands:
+            self._render_band(channels, row, rows)
+        self.launches += self.tiles.launches + self.shader.launches
+        for stage, spent in self._frame_times.items():
+            self.times[stage] = spent if first else min(spent, self.times[stage])
+
+    def _render_band(self, channels: dict[str, np.ndarray], row: int, rows: int) -> None:
+        width, height = self.options.size
+        references = self._timed("bin", partial(self.tiles.start_band, row, rows))
+        if self.options.memory is not None and self.bytes_device() > self.options.memory:
+            self._split_band(channels, row, rows)
+            return
+        self._timed("bin", self.tiles.finish_lists)
+        self.reference_peak = max(self.reference_peak, references)
+        self.band_count += 1
+        first_row = row << self.tile_log2
+        row_count = min(rows << self.tile_log2, height - first_row)
+        pixel_count = row_count * width
+        if self.work is not None:
+            self.work.clear_cost()
+        self._timed("visibility", self.tiles.rasterize)
+        self.passes += 1
+        self._timed("shade", lambda: self.shader.shade(self.tiles.view, self.tiles.visible_prims, pixel_count, 0))
+        self._timed("resolve", lambda: self._read_prims(channels, first_row, row_count))
+        if self.plan["alpha blend"]:
+            self._render_layers(pixel_count)
+        self._timed("resolve", lambda: self.shader.read(channels, first_row, row_count, width))
+        if self.work is not None and "cost" in self.options.aov:
+            costs = tuple(channels[name] for name in CHANNEL_GROUPS["cost"])
+            self.work.read_cost(costs, first_row, row_count, pixel_count)
+
+    def _split_band(self, channels: dict[str, np.ndarray], row: int, rows: int) -> None:
+        """Two bands in place of one whose lists do not fit the budget."""
+        if rows == 1:
+            raise CapacityError(
+                f"--memory {self.options.memory} is too small: one row of tiles needs {self.bytes_device()} bytes: "
+                "give at least as many"
+            )
+        self._render_band(channels, row, rows // 2)
+        self._render_band(channels, row + rows // 2, rows - rows // 2)
+
+    def _read_prims(self, channels: dict[str, np.ndarray], first_row: int, row_count: int) -> None:
+        width = self.options.size[0]
+        with buffers.mapped(self.device, self.tiles.visible_prims, np.uint32, (row_count, width)) as prims:
+            self.hit_count += int(np.count_nonzero(prims != NO_HIT))
+            if "id.prim" in channels:
+                channels["id.prim"][first_row : first_row + row_count] = prims
+
+    def _render_layers(self, pixel_count: int) -> None:
+        """Add what lies behind BLEND surfaces, layer by layer; each layer lies strictly behind the last."""
+        layer, size = 0, 4 * pixel_count
+        front_nearness, front_prims = (buffers.create(self.device, size) for _ in range(2))
+        assert self.tiles.nearness is not None
+        while self.shader.has_open_pixels(pixel_count):
+            layer += 1
+            buffers.copy(self.device, self.tiles.nearness, front_nearness, size)
+            buffers.copy(self.device, self.tiles.visible_prims, front_prims, size)
+            self.shader.close_pixels(front_nearness, pixel_count)
+            self._timed("visibility", partial(self.tiles.rasterize, layer, (front_nearness, front_prims)))
+            self.passes += 1
+            shade = partial(self.shader.shade, self.tiles.view, self.tiles.visible_prims, pixel_count, layer)
+            self._timed("shade", shade)
+
+    def bytes_device(self) -> int:
+        """Bytes of all device buffers of this job."""
+        return (
+            self.scene_bytes
+            + BOUND_BYTES * self.scene.triangle_count
+            + self.bands.pixel_bytes * self.bands.max_pixels
+            + self.tiles.list_bytes()
+        )
+
+    def work_counts(self) -> tuple[dict[str, int], dict[str, int]]:
+        """What the counters found: entries of `counts` and of `other_counts`; empty where they are off."""
+        if self.work is None:
+            return {}, {}
+        found = self.work.collect()
+        known = {name: found.pop(name) for name in ("setups", "edge_evaluations", "traversal_steps")}
+        known["intersection_tests"] = found.pop("samples_tested")
+        return known, found
+
+    def stats(self) -> dict[str, Any]:
+        """The stats of DESIGN section 2; what is not counted is None."""
+        counted, more_counted = self.work_counts()
+        width, height = self.options.size
+        triangles = self.scene.triangle_count
+        return {
+            "camera": self.vectors.named(),
+            "image": {"width": width, "height": height},
+            "device": {"name": self.device.name, "platform": self.device.platform, "version": self.device.version},
+            "method": self.method.name,
+            "method_requested": self.options.method,
+            "method_reason": self.reason or "asked for",
+            "precision": self.options.precision,
+            "aa": self.options.aa,
+            "mode": self.options.mode,
+            "bytes_device": self.bytes_device(),
+            "bytes_per_triangle": self.bytes_device() / triangles,
+            "counts": {
+                "triangles": triangles,
+                "samples": width * height,
+                "hits": self.hit_count,
+                "rays_primary": width * height,
+                "rays_shadow": 0,
+                "rays_reflection": 0,
+                "rays_refraction": 0,
+                "rays_indirect": 0,
+                "traversal_steps": 0 if not self.method.needs_bvh else None,
+                "kernel_launches": self.launches,
+                "passes": self.passes,
+                **counted,
+            },
+            "other_counts": {"bands": self.band_count, "tile_references": self.reference_peak, **more_counted},
+            "times_ms": {
+                **{stage: 0.0 for stage in ("build", "setup", "bin", "visibility", "shade", "resolve", "plan")},
+                **self.times,
+            },
+            "effects": self.plan.as_stats(),
+        }
