@@ -73,6 +73,7 @@ def start_job(
         job.reason = f"{DEFAULT}: nothing else is tried on this device, in bands or under a memory budget"
         return job
     started = time.perf_counter()
+    job.time_frame()  # the first one waits for what the driver still compiles
     default = job.time_frame()
     counts = job.count_view()
     if is_worth_a_trial(counts, default):

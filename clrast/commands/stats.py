@@ -61,6 +61,12 @@ def report_lines(stats: Mapping[str, Any]) -> list[str]:
     rows += [(row["name"], "on" if row["on"] else "off", row["reason"]) for row in stats["effects"]]
     widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
     lines = [f"{name:<{widths[0]}}  {state:<{widths[1]}}  {reason}" for name, state, reason in rows]
+    if "method_reason" in stats:
+        lines += ["", f"method {stats['method']}: {stats['method_reason']}"]
+    counts = {**stats["counts"], **stats.get("other_counts", {})}
+    if counts["setups"] is not None:
+        lines += ["", f"{'count':<20}  {'number':>14}"]
+        lines += [f"{name:<20}  {number:>14,}" for name, number in counts.items() if number is not None]
     lines += ["", f"{'stage':<10}  {'ms':>9}"]
     times = {**stats["times_ms"], **stats["other_times_ms"]}
     total = times.pop("total")
