@@ -28,8 +28,10 @@
 
 #if RESUMABLE
 #define STACK_SPACE global
-#define ITERATIONS_OF_STEP (64 + NODE_WIDTH * NODE_WIDTH)  // upper bound of a pop, its expansion and its pushes
-#define RESERVED_ITERATIONS (8 * TILE_SIZE * TILE_SIZE)  // clearing, loading and storing the samples
+#define COUNTED_BLOCKS (COUNTERS * TILE_BLOCKS)  // loops of counting
+// Upper bounds: of a pop, its expansion and its pushes; of clearing, loading and storing the samples.
+#define ITERATIONS_OF_STEP (64 + NODE_WIDTH * NODE_WIDTH + COUNTED_BLOCKS)
+#define RESERVED_ITERATIONS (8 * TILE_SIZE * TILE_SIZE + 2 * COUNTED_BLOCKS)
 #else
 #define STACK_SPACE private
 #endif

@@ -26,7 +26,7 @@ from clrast.shading.surfaces import MASK_ARGUMENTS, SurfaceBuffers
 from clrast.visibility.bands import BandPlan, plan_bands
 from clrast.visibility.bvh import Bvh, build_bvh
 from clrast.visibility.cost_model import DEFAULT, StageTimes, ViewCounts
-from clrast.visibility.frusta import FrustumTraversal, stack_capacity
+from clrast.visibility.frusta import FrustumTraversal, stack_capacity, traversal_bytes
 from clrast.visibility.geometry import build_geometry
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import AUTO, Method, resolve_method
@@ -177,10 +177,14 @@ class RenderJob:
             per_pixel += 8
         if self.features.counters:
             per_pixel += 4 * COST_PLANES
+        fixed, of_square = 0, 0
+        if not self.method.tiles:
+            fixed, of_square = traversal_bytes(self.features, self.geometry.bvh, self.scene.triangle_count)
         return plan_bands(
             self.view,
             self.tile_log2,
-            fixed_bytes=self.scene_bytes + BOUND_BYTES * self.scene.triangle_count,
+            fixed_bytes=self.scene_bytes + BOUND_BYTES * self.scene.triangle_count + fixed,
+            square_bytes=of_square,
             pixel_bytes=per_pixel,
             piece_bytes=4 * max(1, len(channel_names(self.groups))),
             budget=self.options.memory or int(MEMORY_SHARE * self.device.global_memory_bytes),

@@ -341,10 +341,9 @@ class RenderOptions:
                 object.__setattr__(self, each.name, parsed)
             elif each.default is not None:
                 raise UsageError(f"--{each.name.replace('_', '-')} has no value: leave it out for the default")
-        self._check_together()
 
-    def _check_together(self) -> None:
-        """Raises UsageError where options do not go together."""
+    def check_together(self) -> None:
+        """Raises UsageError where options do not go together; a render does it before anything else."""
         if self.method != AUTO:
             resolve_method(self.method, self.oracle, intersection=self.intersection, evaluation=self.evaluation)
         elif self.oracle:
@@ -356,14 +355,20 @@ class RenderOptions:
 OPTION_NAMES = tuple(each.name for each in fields(RenderOptions))
 
 
-def make_options(values: Mapping[str, Any]) -> RenderOptions:
-    """Options from values by name (underscores or hyphens); an unknown name is a UsageError with the nearest one."""
+def make_options(values: Mapping[str, Any], *, whole: bool = True) -> RenderOptions:
+    """Options from values by name (underscores or hyphens); an unknown name is a UsageError with the nearest one.
+
+    whole : these are all; else others may come, from a scene's card, and only each alone is checked.
+    """
     known = {name.replace("-", "_"): value for name, value in values.items()}
     for name in known:
         if name not in OPTION_NAMES:
             hint = did_you_mean(name, OPTION_NAMES)
             raise UsageError(f"there is no option {name!r}: use {listed(OPTION_NAMES)}{hint}")
-    return RenderOptions(**known)
+    options = RenderOptions(**known)
+    if whole:
+        options.check_together()
+    return options
 
 
 def effects_text(switched_on: Iterable[str]) -> str:

@@ -39,6 +39,7 @@ def render(scene: Scene, camera: Camera | None = None, *, options: RenderOptions
     RenderOptions. Raises UsageError, DeviceError, CapacityError.
     """
     options = options or make_options(named)
+    options.check_together()
     started = time.perf_counter()
     width, height = options.size
     if camera is None:

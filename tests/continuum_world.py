@@ -173,9 +173,10 @@ def hard_scenes(projection: str) -> dict[str, tuple[Scene, CameraVectors]]:
 
 
 def glass_and_leaves(seed: int) -> Scene:
-    """Masked, blended and opaque triangles mixed: layers of glass behind and before leaves that are cut out."""
+    """Masked, blended and opaque triangles mixed, some twice there: layers of glass behind and before leaves."""
     rng = np.random.default_rng(seed)
     corners = soup(seed, 160)
+    corners[1::8] = corners[0::8, [1, 2, 0]]
     count = len(corners)
     return make_scene(
         corners,

@@ -297,16 +297,16 @@ def limited_loops(monkeypatch: pytest.MonkeyPatch, iterations: int) -> Iterator[
 
 
 @pytest.mark.parametrize(
-    ("point", "first", "second"),
+    ("point", "vector_width", "first", "second"),
     [
-        (("3dr-full", ("frustum=32",)), 400, 1500),
-        (("raycast-bvh", ()), 400, 1500),
-        (("3dr-brute", ("frustum=16",)), 12, 400),
+        (("3dr-full", ("frustum=32",)), None, 400, 1500),
+        (("raycast-bvh", ()), 1, 400, 1500),  # stops within leaves, too
+        (("3dr-brute", ("frustum=16",)), None, 12, 400),
     ],
     ids=["3dr-full", "raycast-bvh", "3dr-brute"],
 )
 def test_a_traversal_stops_and_goes_on(
-    device: Device, monkeypatch: pytest.MonkeyPatch, point: Point, first: int, second: int
+    device: Device, monkeypatch: pytest.MonkeyPatch, point: Point, vector_width: int | None, first: int, second: int
 ) -> None:
     """After every few nodes or triangles, and the image is that of one launch. `first`, `second` : iterations."""
     scene, view = make_scene(soup(34, 160)), oblique("perspective", 70, 45)
@@ -317,7 +317,9 @@ def test_a_traversal_stops_and_goes_on(
     launches = []
     for iterations in (first, second):
         with limited_loops(monkeypatch, for_samples + iterations):
-            job, frame = start(device, scene, view, aov=("id", "depth"), method=method, oracle=oracles)
+            job, frame = start(
+                device, scene, view, aov=("id", "depth"), method=method, oracle=oracles, vector_width=vector_width
+            )
         assert differences({"id.prim": frame["id.prim"], "Z": frame["Z"].view(np.uint32)}, right) == "", iterations
         launches.append(job.tiles.launches)
     assert launches[0] > launches[1] >= 2 and launches[0] >= 4

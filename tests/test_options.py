@@ -211,9 +211,11 @@ def test_nonsense_is_refused_with_what_is_allowed(name: str, value: str, message
     ],
 )
 def test_what_does_not_go_together_says_what_does(values: dict[str, str], message: str) -> None:
+    """A scene's card may bring what is missing, so each alone is sound."""
     with pytest.raises(UsageError, match=message) as caught:
-        RenderOptions(**values)
+        make_options(values)
     assert not isinstance(caught.value, UnavailableError)
+    assert make_options(values, whole=False) == RenderOptions(**values)
 
 
 def test_what_is_there_is_taken() -> None:

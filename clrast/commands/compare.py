@@ -147,7 +147,7 @@ def make_plan(values: Mapping[str, Any]) -> Plan:
 
     single = {name: once(name, texts) for name, texts in values.items() if name != "methods"}
     given = {name: single[name] for name in OPTIONS if single.get(name) is not None}
-    make_options(given)
+    make_options(given, whole=False)
     view = make_view({name: single[name] for name in VIEW_NAMES})
     suite, source, scale = single["suite"], single["input"], single["suite_scale"]
     if (suite is None) == (source is None):

@@ -113,7 +113,7 @@ def make_job(values: Mapping[str, Any], started: float) -> Job:
     """Parse and check all options; raises UsageError. Reads and writes nothing."""
     single = {name: _once(name, texts) for name, texts in values.items()}
     given = {name: single[name] for name in OPTION_NAMES if single.get(name) not in (None, False)}
-    if make_options(given).repeat == 0 and "repeat" in given:
+    if make_options(given, whole=False).repeat == 0 and "repeat" in given:
         raise UsageError("--repeat 0 renders nothing: give 1 or more, or leave it out")
     view = make_view({name: single[name] for name in VIEW_NAMES})
     outputs = Outputs(tuple(dict.fromkeys(values["output"] or ())), single["stats"])

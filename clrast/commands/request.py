@@ -48,7 +48,7 @@ def merge_options(scene: Scene, given: Mapping[str, Any], source: str) -> tuple[
     for written, value in scene.render_options.items():
         name = written.replace("-", "_")
         try:
-            make_options({name: value})
+            make_options({name: value}, whole=False)
         except UnavailableError as fault:
             warnings.append(f"{source} asks for what is ignored here: {fault}")
         except UsageError as fault:
@@ -73,7 +73,7 @@ def render_scene(scene: Scene, camera: Camera | str | int | None, values: Mappin
         raise UsageError(f"render takes a scene, not {type(scene).__name__}: give what clrast.load returns")
     scene = check_scene(scene, scene.name)
     given = {name: value for name, value in values.items() if name not in VIEW_NAMES}
-    make_options(given)
+    make_options(given, whole=False)
     view = make_view({"camera": camera, **{name: values[name] for name in VIEW_NAMES if name in values}})
     request = make_request(scene, view, given, scene.name)
     for line in request.warnings:

@@ -67,6 +67,10 @@ _BUILTINS = {"min": "compare", "max": "compare", "clamp": "compare", "fma": "fma
 _CONVERSIONS = re.compile(r"(as|convert)_(\w+?)\d*|vload\d*|vstore\d*|fabs|popcount|clz|ceil|floor|any|all|isnan")
 
 
+LANGUAGE = {"FLT_MAX": "float", "FLT_MIN": "float", "INFINITY": "float"}
+"""Constants of OpenCL C and their types."""
+
+
 class _Counter:
     """Operations of the functions of a program, each counted once."""
 
@@ -278,6 +282,8 @@ class _Body:
             return "float" if fraction else "int"
         if self.at < len(self.tokens) and self.tokens[self.at] == "(":
             return self._call(token)
+        if token in LANGUAGE:
+            return LANGUAGE[token]
         if token in self.scope:
             return self.scope[token]
         raise self.fault(f"the name '{token}'")

@@ -44,15 +44,17 @@ def plan_bands(
     budget: int,
     max_piece: int,
     limited: bool,
+    square_bytes: int = 0,
 ) -> BandPlan:
     """As few bands as fit `budget` bytes, and `max_piece` bytes in each buffer.
 
-    fixed_bytes : what the scene takes whatever the band. piece_bytes : what a pixel takes in the largest
-    buffer. limited : on drivers that limit loops. Raises CapacityError where not even one tile row fits.
+    fixed_bytes : what the scene takes whatever the band. square_bytes : of each tile or root frustum. piece_bytes :
+    what a pixel takes in the largest buffer. limited : on drivers that limit loops. Raises CapacityError where not
+    even one tile row fits.
     """
     tile_rows, columns = int(view["tile_rows"]), int(view["tile_columns"])
     width, height = int(view["width"]), int(view["height"])
-    row_bytes = (width << tile_log2) * pixel_bytes
+    row_bytes = (width << tile_log2) * pixel_bytes + columns * square_bytes
     band_rows = tile_rows
     left = int((budget - fixed_bytes) * (1 - REFERENCE_SHARE))
     if left < row_bytes:

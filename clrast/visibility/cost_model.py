@@ -17,6 +17,9 @@ CANDIDATE = "3dr-full"
 SETUP_RATIO = 1.7
 """Setup with the bounds of nodes, against setup of the triangles' bounds alone."""
 
+LEAST_GAIN, LEAST_GAIN_MS = 0.1, 1.0
+"""Share of the default's time, and milliseconds, that must be in sight: a trial builds a tree and kernels."""
+
 BINNED_REFERENCE, BINNED_BOUND_SAMPLE = 7.1, 0.11
 FULL_SEEN_TRIANGLE, FULL_HIT = 39.0, 2.2
 
@@ -57,14 +60,15 @@ def least_time_of_candidate(counts: ViewCounts, default: StageTimes) -> float:
 
 
 def is_worth_a_trial(counts: ViewCounts, default: StageTimes) -> bool:
-    """Whether CANDIDATE may be faster than the default."""
-    return least_time_of_candidate(counts, default) < default.total
+    """Whether CANDIDATE may be faster than the default by what is worth it."""
+    gain = default.total - least_time_of_candidate(counts, default)
+    return gain > max(LEAST_GAIN * default.total, LEAST_GAIN_MS)
 
 
 def reason_without_trial(counts: ViewCounts, default: StageTimes) -> str:
     return (
-        f"{DEFAULT} took {default.total:.1f} ms; {counts.seen} of {counts.in_view} triangles in view are visible, "
-        f"too many for {CANDIDATE} to win"
+        f"{DEFAULT} took {default.total:.1f} ms; with {counts.seen} of {counts.in_view} triangles in view visible "
+        f"{CANDIDATE} cannot win much"
     )
 
 

@@ -15,10 +15,11 @@ from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
 from clrast.opencl.layout import NODE_WIDTH
+from clrast.visibility.bvh import Bvh
 from clrast.visibility.geometry import Geometry
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import Method
-from clrast.visibility.screen_bounds import ScreenBounds
+from clrast.visibility.screen_bounds import ScreenBounds, round_up
 from clrast.visibility.work import WorkCounters
 
 if TYPE_CHECKING:
@@ -37,6 +38,14 @@ def stack_capacity(levels: int, frustum_log2: int) -> int:
     """
     most = levels * (NODE_WIDTH - 1) + 3 * frustum_log2 + 1
     return 1 << max(5, (most - 1).bit_length())
+
+
+def traversal_bytes(features: Features, bvh: Bvh | None, triangle_count: int) -> tuple[int, int]:
+    """(bytes, bytes a root frustum) of device memory that a traversal takes beside bounds and ids."""
+    tree = NODE_BYTES * bvh.node_count if bvh is not None else 0
+    nearest = 4 * round_up(triangle_count, features.vector_width) if features.node_bounds else 0
+    stacks = 8 + 8 * features.stack_capacity if features.resumable else 0
+    return tree + nearest, stacks
 
 
 class FrustumTraversal:
@@ -67,7 +76,6 @@ class FrustumTraversal:
         pixel_count = min(band_rows << features.tile_log2, int(view["height"])) * int(view["width"])
         self.visible_prims = buffers.create(device, 4 * pixel_count)
         self.nearness = buffers.create(device, 4 * pixel_count) if features.keep_nearness else None
-        self.tree_bytes = 0
         self._nodes: dict[str, cl.Buffer] = {}
         self._make_nodes()
         self._frustum_count = band_rows * int(view["tile_columns"])
@@ -93,7 +101,6 @@ class FrustumTraversal:
             **{name: buffers.create(self.device, size) for name in names[2:]},
             "prims": prims,
         }
-        self.tree_bytes = NODE_BYTES * bvh.node_count
 
     def setup(self) -> None:
         """Find every triangle's canonical bound, and those of the nodes."""
@@ -178,5 +185,5 @@ class FrustumTraversal:
 
     def list_bytes(self) -> int:
         """Bytes of what the traversal keeps beside the pixels: nodes, nearness of triangles, stacks."""
-        stacks = self._frustum_count * (8 + 8 * self.features.stack_capacity) if self.features.resumable else 0
-        return self.tree_bytes + stacks + (4 * self.bounds.padded_count if self.bounds.nearest is not None else 0)
+        fixed, of_frustum = traversal_bytes(self.features, self.geometry.bvh, self.geometry.triangle_count)
+        return fixed + of_frustum * self._frustum_count

@@ -69,8 +69,8 @@ def reference_span_within(
     blocks = ((x1 + columns - 1) // columns - x0 // columns) * block_rows
     # A large triangle goes through whole rows of the tile's blocks, vector_width of them at a time.
     tested = block_rows * max(1, tile_size // columns // vector_width)
-    cost = np.concatenate([[0], np.cumsum(16 + 2 * blocks + tested)])
-    base = 6 * tile_size * tile_size
+    cost = np.concatenate([[0], np.cumsum(16 + 3 * blocks + tested)])
+    base = 9 * tile_size * tile_size
     lengths = np.diff(tile_begin.astype(np.int64))
     span = max(vector_width, int(lengths.max(initial=0)))
     while span > 1:
