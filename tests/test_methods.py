@@ -227,7 +227,7 @@ def test_oracles_of_options_are_checked_together() -> None:
     with pytest.raises(UsageError, match="--oracle frustum is given as 'frustum=8' and as 'frustum=16': give one"):
         RenderOptions(method="3dr-full", oracle=["frustum=8", "frustum=16"])
     with pytest.raises(UsageError, match="--oracle changes a method: name it, such as --method 3dr-full"):
-        RenderOptions(oracle="frustum=8")
+        make_options({"oracle": "frustum=8"})
 
 
 # --- the stack of a traversal ----------------------------------------------------------------------
