@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,6 +40,7 @@ from clrast.options import AVAILABLE_PRECISIONS
 from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Scene
 from clrast.visibility import frusta
+from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import resolve_method
 
 PROPERTY = settings(
@@ -323,6 +325,17 @@ def test_a_traversal_stops_and_goes_on(
         assert differences({"id.prim": frame["id.prim"], "Z": frame["Z"].view(np.uint32)}, right) == "", iterations
         launches.append(job.tiles.launches)
     assert launches[0] > launches[1] >= 2 and launches[0] >= 4
+
+
+@pytest.mark.parametrize("vector_width", [1, 8, 16])
+def test_limited_loops_leave_room_for_a_step(device: Device, vector_width: int) -> None:
+    """Else a traversal would stop before its first node, launch after launch. Widths are the user's to choose."""
+    limited = replace(device, runtime="rusticl", vector_width=vector_width)
+    limit = loop_limit(limited)
+    assert limit is not None
+    for method in ("3dr-brute", "3dr-full", "raycast-bvh"):
+        side_log2 = job_module.square_log2(limited, resolve_method(method, ["frustum=256"]), 300 * 300)
+        assert 8 * 4**side_log2 + 1000 < limit, (method, side_log2)
 
 
 # --- bounds of nodes -------------------------------------------------------------------------------

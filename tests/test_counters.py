@@ -18,6 +18,7 @@ from clrast.opencl import kernels
 from clrast.opencl.device import Device
 from clrast.opencl.layout import EMPTY_CHILD, LARGE_BLOCK_COUNT, MIN_FRUSTUM_LOG2, WORK_COUNTERS
 from clrast.scene.model import Scene
+from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import resolve_method
 
 
@@ -245,6 +246,16 @@ def test_a_second_frame_counts_the_same(device: Device) -> None:
 def test_counters_change_no_pixel(device: Device, method: str) -> None:
     """Nor does counting cost a driver that limits loops its image."""
     scene, view = make_scene(soup(8, 160)), oblique("perspective", 80, 48)
+    right = images(device, scene, view, ROWS["3dr-binning"])
+    assert differences(images(device, scene, view, ROWS[method], counters=True), right) == ""
+
+
+@pytest.mark.parametrize("method", ["3dr-full", "3dr-frustum-cull"])
+def test_counting_is_work_too_where_loops_are_limited(device: Device, method: str) -> None:
+    """Many nodes, each of whose tests is noted at all samples of a frustum: launches must end in time all the same."""
+    if loop_limit(device) is None:
+        pytest.skip(f"{device.runtime} sets no limit")
+    scene, view = make_scene(soup(10, 1500)), oblique("perspective", 130, 70)
     right = images(device, scene, view, ROWS["3dr-binning"])
     assert differences(images(device, scene, view, ROWS[method], counters=True), right) == ""
 

@@ -8,7 +8,8 @@ Views: from outside and from inside (perspective). id.prim and Z of each method 
 edges and for the barycentric form every sample that differs must lie within float32 rounding of an edge of one of
 the two triangles, or one of these must be seen edge-on within rounding, or both must be equally near within it. What
 rounding can do is found by float64 twins of the formulas with running error bounds (tests/edge_twins.py), and for
-3D edges by BOUND_SLACK of opencl/layout.py, derived in cl/setup_triangles.cl.
+3D edges by BOUND_SLACK of opencl/layout.py, derived in cl/setup_triangles.cl. METHOD:incremental is held against direct
+evaluation in the same way, with INCREMENT_SLACK of layout.py for the sums.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from edge_twins import Rounded, ViewTwin  # noqa: E402
 
 from clrast.errors import ClrastError  # noqa: E402
 from clrast.opencl.features import Edges  # noqa: E402
-from clrast.opencl.layout import BOUND_SLACK, NO_HIT  # noqa: E402
+from clrast.opencl.layout import BOUND_SLACK, INCREMENT_SLACK, NO_HIT  # noqa: E402
 from clrast.options import parse_size  # noqa: E402
 from clrast.renderer import render  # noqa: E402
 from clrast.scene.camera import CameraVectors, camera_vectors  # noqa: E402
@@ -97,6 +98,20 @@ def pixels_from_edge(corners: np.ndarray, d: np.ndarray, dx: np.ndarray, dy: np.
     return nearest
 
 
+def pixels_of_sums(corners: np.ndarray, vectors: CameraVectors) -> np.ndarray:
+    """(count,) pixels by which incremental sums may misplace the edge that suffers most; corners : from the eye."""
+    e, d0, dx, dy = (np.array(v, dtype=np.float64) for v in vectors.named().values())
+    center = d0 + vectors.width / 2 * dx + vectors.height / 2 * dy
+    most = np.zeros(len(corners))
+    for i in range(3):
+        n = np.cross(corners[:, (i + 2) % 3], corners[:, (i + 1) % 3])
+        gx, gy = abs(n @ dx), abs(n @ dy)
+        terms = abs(n @ center) + gx * vectors.width / 2 + gy * vectors.height / 2
+        with np.errstate(all="ignore"):
+            most = np.fmax(most, INCREMENT_SLACK * terms / np.hypot(gx, gy))
+    return most
+
+
 def explain(
     scene: Scene, vectors: CameraVectors, edges: Edges, ids: np.ndarray, right: np.ndarray
 ) -> dict[str, Any]:
@@ -115,6 +130,11 @@ def explain(
     for prims in (ids[rows, columns], right[rows, columns]):
         found = prims != NO_HIT
         corners = scene.positions[scene.triangles[np.where(found, prims, 0)]].astype(np.float64)
+        if edges == Edges.SPATIAL:  # incremental against direct: nearness is the same in both
+            bound = bound + np.where(found, pixels_of_sums(corners - e, vectors), 0.0)
+            nearness.append((np.where(found, np.inf, 0.0), 0.0))
+            distance = np.where(found, np.fmin(distance, pixels_from_edge(corners - e, d, dx, dy)), distance)
+            continue
         setup = find[edges](corners)
         for edge, hidden in zip(setup.edges, setup.hidden, strict=True):
             near |= found & ~hidden & ~at_samples(edge, x, y).is_certain()
@@ -124,7 +144,8 @@ def explain(
         distance = np.where(found, np.fmin(distance, pixels_from_edge(corners - e, d, dx, dy)), distance)
     near |= distance <= bound
     (a, a_error), (b, b_error) = nearness
-    tied = ~near & ~edge_on & (abs(a - b) <= a_error + b_error)
+    with np.errstate(all="ignore"):
+        tied = ~near & ~edge_on & (abs(a - b) <= a_error + b_error)
     worst = int(np.argmax(np.where(near, distance, 0))) if len(rows) else 0
     return {
         "near_edge": int(near.sum()),
@@ -143,9 +164,10 @@ def at_samples(coefficients: list[Rounded], x: np.ndarray, y: np.ndarray) -> Rou
 
 def methods_of(names: str | None) -> list[tuple[str, dict[str, str]]]:
     """Methods with their options."""
-    chosen = names.split(",") if names else [*METHODS, "raycast-brute:barycentric"]
+    chosen = names.split(",") if names else [*METHODS, "raycast-brute:barycentric", "3dr-binning:incremental"]
+    options = {"": {}, "barycentric": {"intersection": "barycentric"}, "incremental": {"evaluation": "incremental"}}
     split = [name.partition(":") for name in chosen]
-    return [(name, {"intersection": kind} if kind else {}) for name, _, kind in split]
+    return [(name, options[kind]) for name, _, kind in split]
 
 
 def check(
@@ -165,9 +187,9 @@ def check(
             frame = render(scene, camera, method=method, **options, **common)
             ids = int((frame["id.prim"] != right["id.prim"]).sum())
             depths = int((frame["Z"] != right["Z"]).sum())
-            edges = Edges.BARYCENTRIC if options else METHODS[method].edges
+            edges = Edges.BARYCENTRIC if "intersection" in options else METHODS[method].edges
             vectors, why = camera_vectors(camera, *size), {}
-            if edges != Edges.SPATIAL:
+            if edges != Edges.SPATIAL or options:
                 why = explain(scene, vectors, edges, frame["id.prim"], right["id.prim"])
             label = ":".join([method, *options.values()])
             yield Result(name, view, label, ids, depths, **why)
@@ -192,7 +214,7 @@ def summary(results: list[Result]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", help="files, or names of the suite; all where none is named")
-    parser.add_argument("--methods", help="comma list; raycast-brute:barycentric for the other intersection")
+    parser.add_argument("--methods", help="comma list; with :barycentric or :incremental after a method")
     parser.add_argument("--size", default="1024x1024")
     parser.add_argument("--json", metavar="FILE")
     args = parser.parse_args()
@@ -211,7 +233,7 @@ def main() -> int:
               f"within rounding of an edge at up to {far:.2g} pixels from it")  # fmt: skip
     if args.json:
         Path(args.json).write_text(json.dumps([asdict(r) for r in results], indent=1) + "\n", encoding="utf-8")
-    return int(any(r.unexplained or (is_spatial(r) and r.ids + r.depths) for r in results))
+    return int(not results or any(r.unexplained or (is_spatial(r) and r.ids + r.depths) for r in results))
 
 
 if __name__ == "__main__":
