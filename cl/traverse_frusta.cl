@@ -29,9 +29,9 @@
 #if RESUMABLE
 #define STACK_SPACE global
 #define COUNTED_BLOCKS (COUNTERS * TILE_BLOCKS)  // loops of counting
-// Upper bounds: of a pop, its expansion and its pushes; of clearing, loading and storing the samples.
+// Upper bounds: of a pop, its expansion and its pushes; of clearing, loading and storing the samples, and the root.
 #define ITERATIONS_OF_STEP (64 + NODE_WIDTH * NODE_WIDTH + COUNTED_BLOCKS)
-#define RESERVED_ITERATIONS (8 * TILE_SIZE * TILE_SIZE + 2 * COUNTED_BLOCKS)
+#define RESERVED_ITERATIONS (8 * TILE_SIZE * TILE_SIZE + 3 * COUNTED_BLOCKS)
 #else
 #define STACK_SPACE private
 #endif
@@ -60,6 +60,9 @@ INLINE uint push_children(Scene *s, uint node, Frustum f, float lowest, STACK_SP
                           TileSamples *samples) {
   ulong keys[NODE_WIDTH];  // nearness in an order of unsigned integers, then the child
   uint count = 0;
+#if COUNTERS
+  uint tested = 0;
+#endif
   for (uint k = 0; k < NODE_WIDTH; k += VECTOR_WIDTH) {
     const size_t first = (size_t)node * NODE_WIDTH + k;
     const int_v low = AS_INT_V(LOAD_V(s->node_low + first)), high = AS_INT_V(LOAD_V(s->node_high + first));
@@ -69,9 +72,9 @@ INLINE uint push_children(Scene *s, uint node, Frustum f, float lowest, STACK_SP
                           (high >> 16 & 0xffff) - s->top);
     keep &= MAY_BE_VISIBLE(nearest, lowest);
 #if COUNTERS
-    const uint tested = count_lanes(LOAD_V(s->children + first) != (uint_v)(EMPTY_CHILD));
-    count_steps(samples, f, tested);
-    COUNT(samples, nodes_culled, tested - count_lanes(keep));
+    const uint here = count_lanes(LOAD_V(s->children + first) != (uint_v)(EMPTY_CHILD));
+    tested += here;
+    COUNT(samples, nodes_culled, here - count_lanes(keep));
 #endif
     float lane_nearest[VECTOR_WIDTH];
     STORE_V(nearest, lane_nearest);
@@ -85,6 +88,9 @@ INLINE uint push_children(Scene *s, uint node, Frustum f, float lowest, STACK_SP
       keys[place] = key;
     }
   }
+#if COUNTERS
+  count_steps(samples, f, tested);
+#endif
   for (uint i = 0; i < count; ++i) stack[top++] = pack_entry(node * NODE_WIDTH + (uint)(keys[i] & 0xffffffff), f);
   return top;
 }

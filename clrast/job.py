@@ -39,7 +39,8 @@ TILE_LOG2_SMALL, TILE_LOG2_LARGE = 5, 6
 LARGE_IMAGE = 1 << 19
 """Pixels from which on tiles of 64 x 64 are faster than 32 x 32: fewer lists, and still enough for all threads."""
 MAX_FRUSTUM_LOG2_OF_SCALARS = 5
-"""Largest root frustum where a work item takes one sample at a time: it is such devices' only parallelism."""
+"""Largest root frustum where a work item takes one sample at a time, as such devices' only parallelism, or where
+drivers limit its loops, which must leave room for more than clearing and storing its samples."""
 
 MEMORY_SHARE = 0.75
 """Part of the device's memory that is the budget where --memory names none."""
@@ -76,7 +77,8 @@ def square_log2(device: Device, method: Method, pixel_count: int) -> int:
         large = pixel_count >= LARGE_IMAGE and loop_limit(device) is None
         return TILE_LOG2_LARGE if large else TILE_LOG2_SMALL
     side_log2 = method.frustum.bit_length() - 1
-    return side_log2 if device.vector_width > 1 else min(side_log2, MAX_FRUSTUM_LOG2_OF_SCALARS)
+    is_free = device.vector_width > 1 and loop_limit(device) is None
+    return side_log2 if is_free else min(side_log2, MAX_FRUSTUM_LOG2_OF_SCALARS)
 
 
 def make_features(

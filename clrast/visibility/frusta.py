@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clrast.errors import DeviceError
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     import pyopencl as cl
 
 REFIT_GROUP = 64
+
+MAX_LAUNCHES_ALIKE = 256
+"""Launches after each of which all stacks are as high as before: chance for a few, and an end where nothing moves."""
 
 NODE_BYTES = 4 * 5 * NODE_WIDTH
 """Device bytes of a node: children, counts, bounds, nearness."""
@@ -167,17 +171,21 @@ class FrustumTraversal:
         if self.features.resumable:
             arguments["iterations"] = self._limit or 0
         self._launch(frustum_count, arguments)
-        while self.features.resumable and self._unfinished(frustum_count):
+        before, alike = np.zeros((frustum_count, 2), dtype=np.uint32), 0
+        while self.features.resumable:
+            points = buffers.download(self.device, self._resume["resume_points"], np.uint32, (frustum_count, 2))
+            if not points[:, 0].any():
+                break
+            alike = alike + 1 if np.array_equal(points, before) else 0
+            if alike > MAX_LAUNCHES_ALIKE:
+                raise DeviceError("this driver limits loops to fewer than one step takes: use --method 3dr-binning")
+            before = points
             arguments["resume"] = 1
             self._launch(frustum_count, arguments)
 
     def _launch(self, items: int, arguments: dict[str, Any]) -> None:
         self._program.launch("traverse_frusta", items, 1, **arguments)
         self.launches += 1
-
-    def _unfinished(self, frustum_count: int) -> bool:
-        points = buffers.download(self.device, self._resume["resume_points"], np.uint32, (frustum_count, 2))
-        return bool(points[:, 0].any())
 
     def list_length(self) -> int:
         """No references."""
