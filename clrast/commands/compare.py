@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from clrast.scene.model import Scene
     from clrast.study.compare import Comparison
     from clrast.study.findings import Verdict
+    from clrast.study.orders import OrderStudy
 
 SUITES = ("paper",)
 OPTIONS = ("size", "precision", "effects", "device", "threads")
@@ -64,6 +65,13 @@ SuiteScale = Annotated[
         "--suite-scale", metavar="S", help="Share of the suite's triangles [default: 1].", rich_help_panel=PANEL
     ),
 ]
+Orders = Annotated[
+    bool,
+    typer.Option(
+        "--orders", rich_help_panel=PANEL,
+        help="Also what the order of loops costs: hit rates, shadings and bytes off chip of each, last references.",
+    ),
+]  # fmt: skip
 Output = Annotated[
     p.Texts,
     typer.Option("-o", "--output", metavar="FILE", help="A plot, x.svg or x.png; may be given again.",
@@ -88,6 +96,7 @@ class Plan:
     outputs: tuple[str, ...]
     json: bool
     quiet: bool
+    orders: bool
 
 
 def compare_command(
@@ -97,6 +106,7 @@ def compare_command(
     methods: MethodList = None,
     repetitions: Repetitions = None,
     budget: Budget = None,
+    orders: Orders = False,
     size: p.Size = None,
     eye: p.Eye = None,
     look_at: p.LookAt = None,
@@ -128,13 +138,15 @@ def run(values: Mapping[str, Any]) -> int:
     for path in plan.outputs:
         check_writable(path, suffixes=None)
     notes: list[str] = []
+    studies: list[OrderStudy] = []
     with progress(plan.quiet) as show:
-        comparisons = _measure(plan, show, notes)
+        comparisons = _measure(plan, show, notes, studies)
         verdicts = _judge(comparisons) if plan.suite else ()
         if plan.outputs:
             show("drawing")
             _write_plots(plan.outputs, comparisons)
-    messages.result(_as_json(plan, comparisons, verdicts) if plan.json else _as_text(comparisons, verdicts))
+    as_asked = _as_json(plan, comparisons, verdicts, studies) if plan.json else _as_text(comparisons, verdicts, studies)
+    messages.result(as_asked)
     if not plan.quiet:
         for line in notes:
             messages.note(line)
@@ -156,6 +168,8 @@ def make_plan(values: Mapping[str, Any]) -> Plan:
         raise UsageError("--suite-scale is of --suite paper: leave it out")
     if suite is not None:
         check_choice("--suite", suite, SUITES)
+        if single["orders"]:
+            raise UsageError("--orders studies one scene: give it in place of --suite")
         if view.makes_camera or view.camera is not None:
             raise UsageError("--suite brings its own cameras: leave out --eye, --look-at and --camera")
     methods = None
@@ -168,7 +182,7 @@ def make_plan(values: Mapping[str, Any]) -> Plan:
         given, view, methods,
         DEFAULT_REPETITIONS if repetitions is None else parse_count("--repetitions", repetitions, 1, MAX_REPETITIONS),
         DEFAULT_BUDGET if budget is None else parse_number("--budget", budget, "seconds above 0", above=0.0),
-        _check_outputs(single["output"] or (), source), single["json"], single["quiet"],
+        _check_outputs(single["output"] or (), source), single["json"], single["quiet"], single["orders"],
     )  # fmt: skip
 
 
@@ -190,13 +204,23 @@ def _check_outputs(paths: Sequence[str], source: str | None) -> tuple[str, ...]:
     return tuple(unique.values())
 
 
-def _measure(plan: Plan, show: Callable[[str], None], notes: list[str]) -> list[Comparison]:
-    """Each scene in turn; lines to say afterwards are added to `notes`."""
+def _measure(
+    plan: Plan, show: Callable[[str], None], notes: list[str], studies: list[OrderStudy]
+) -> list[Comparison]:
+    """Each scene in turn; lines to say afterwards are added to `notes`, what the orders cost to `studies`."""
     if plan.source is not None:
         from clrast.scene.load import load
 
         show(f"loading {plan.source}")
-        return [_compare(load(plan.source), plan, plan.source, show, notes)]
+        scene = load(plan.source)
+        comparison = _compare(scene, plan, plan.source, show, notes)
+        if plan.orders:
+            from clrast.study.orders import study_orders
+
+            show("counting what the orders of loops cost")
+            request = make_request(scene, plan.view, plan.given, plan.source)
+            studies.append(study_orders(scene, request.camera, request.options))
+        return [comparison]
     from clrast.study.suite import VIEWS, make_scene, make_view
 
     found, made = [], {}
@@ -254,22 +278,28 @@ def _write_all(files: Sequence[tuple[str, bytes]]) -> None:
     write_whole(path, write)
 
 
-def _as_json(plan: Plan, comparisons: Sequence[Comparison], verdicts: Sequence[Verdict]) -> str:
+def _as_json(
+    plan: Plan, comparisons: Sequence[Comparison], verdicts: Sequence[Verdict], studies: Sequence[OrderStudy]
+) -> str:
     if plan.suite is None:
-        return to_json(comparisons[0].as_dict())
+        return to_json({**comparisons[0].as_dict(), **{"orders": study.as_json() for study in studies}})
     scenes = [comparison.as_dict() for comparison in comparisons]
     findings = [verdict.as_dict() for verdict in verdicts]
     return to_json({"suite": plan.suite, "suite_scale": plan.suite_scale, "scenes": scenes, "findings": findings})
 
 
-def _as_text(comparisons: Sequence[Comparison], verdicts: Sequence[Verdict]) -> str:
+def _as_text(
+    comparisons: Sequence[Comparison], verdicts: Sequence[Verdict], studies: Sequence[OrderStudy]
+) -> str:
     """A table and its lines for each scene, then the findings."""
-    from clrast.commands.compare_table import finding_lines, operation_lines, table_lines
+    from clrast.commands.compare_table import finding_lines, operation_lines, order_lines, table_lines
 
     lines: list[str] = []
     for comparison in comparisons:
         lines += [*table_lines(comparison), ""]
     lines += operation_lines(comparisons)
+    for study in studies:
+        lines += ["", *order_lines(study)]
     if verdicts:
         lines += ["", *finding_lines(verdicts)]
     return "\n".join(lines)

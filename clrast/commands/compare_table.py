@@ -13,6 +13,7 @@ from clrast.visibility.methods import BASELINE
 if TYPE_CHECKING:
     from clrast.study.compare import Comparison, MethodRow
     from clrast.study.findings import Verdict
+    from clrast.study.orders import OrderStudy
 
 TABLE_WIDTH = 160
 """Columns; a narrower terminal folds the lines, as numbers that are left out would be worse."""
@@ -157,3 +158,18 @@ def finding_lines(verdicts: Sequence[Verdict]) -> list[str]:
         if verdict.reason:
             lines.append(f"    because {verdict.reason}")
     return lines
+
+
+def order_lines(study: OrderStudy) -> list[str]:
+    """Hit rates, orders of loops and last references, as tables."""
+    lines = [f"{'hit rate of':<18}  {'triangles':>9}  {'samples':>9}  {'writes':>9}  {'nodes':>9}"]
+    for rate in study.hit_rates:
+        shares = (rate.objects, rate.samples, rate.writes, rate.nodes)
+        lines.append(f"{rate.method:<18}" + "".join(f"  {NOTHING if s is None else f'{s:.3f}':>9}" for s in shares))
+    lines += ["", f"{'order of loops':<28}  {'shadings':>14}  {'MiB off chip':>12}"]
+    lines += [f"{o.name:<28}  {o.shadings:>14,}  {o.bytes / 2**20:>12.1f}" for o in study.orders]
+    last = study.last_reference
+    ranges = ["1 tile", *(f"{2**k}-{2 ** (k + 1) - 1} tiles" for k in range(len(last.histogram)))]
+    spread = ", ".join(f"{count:,} after {where}" for where, count in zip(ranges, last.histogram) if count)
+    what = f"last references, {last.referenced:,} triangles in {last.references:,} references: {spread}"
+    return [*lines, "", f"{what}; a cache of {last.live:,} triangles reads each once"]
