@@ -46,20 +46,24 @@ MEMORY_SHARE = 0.75
 """Part of the device's memory that is the budget where --memory names none."""
 
 
-_HIERARCHIES: dict[int, tuple[weakref.ref[Scene], Bvh, float]] = {}
+_HIERARCHIES: dict[int, tuple[weakref.ref[np.ndarray], weakref.ref[np.ndarray], Bvh, float]] = {}
 
 
 def hierarchy_of(scene: Scene) -> tuple[Bvh, float]:
-    """The BVH over a scene's triangles and the milliseconds that its build took; built once for a scene object."""
-    found = _HIERARCHIES.get(id(scene))
-    if found is None or found[0]() is not scene:
+    """The BVH over a scene's triangles and the milliseconds that its build took; built once for its two arrays.
+
+    Scenes that differ in cameras or lights alone share it.
+    """
+    found = _HIERARCHIES.get(id(scene.triangles))
+    if found is None or found[0]() is not scene.triangles or found[1]() is not scene.positions:
         started = time.perf_counter()
         bvh = build_bvh(scene.positions, scene.triangles)
-        found = (weakref.ref(scene), bvh, 1000 * (time.perf_counter() - started))
+        arrays = weakref.ref(scene.triangles), weakref.ref(scene.positions)
+        found = (*arrays, bvh, 1000 * (time.perf_counter() - started))
         for key in [key for key, each in _HIERARCHIES.items() if each[0]() is None]:
             del _HIERARCHIES[key]
-        _HIERARCHIES[id(scene)] = found
-    return found[1], found[2]
+        _HIERARCHIES[id(scene.triangles)] = found
+    return found[2], found[3]
 
 
 def named_method(options: RenderOptions) -> Method:

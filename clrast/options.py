@@ -14,20 +14,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from clrast import __version__
 from clrast.errors import UsageError
-from clrast.opencl.features import Edges
 from clrast.visibility.methods import AUTO, resolve_method
+from clrast.visibility.methods import METHODS as METHOD_TABLE
 from clrast.visibility.oracles import parse_oracle
 
 PRECISIONS = ("fast", "ordered", "midpoint", "double", "fixed", "exact")
 AVAILABLE_PRECISIONS = ("fast", "ordered", "midpoint")
-METHODS = (
-    "auto", "2dr-brute", "2dr-binning", "2dh-brute", "2dh-binning", "3dr-brute", "3dr-binning",
-    "3dr-frustum-cull", "3dr-frustum-split", "3dr-full", "raycast-bvh", "raycast-grid",
-    "raycast-grid-multipass", "raycast-brute",
-)  # fmt: skip
-AVAILABLE_METHODS = METHODS[: METHODS.index("raycast-grid")] + METHODS[METHODS.index("raycast-brute") :]
+AVAILABLE_METHODS = (AUTO, *METHOD_TABLE)
+METHODS = (*AVAILABLE_METHODS[:-1], "raycast-grid", "raycast-grid-multipass", AVAILABLE_METHODS[-1])
+"""In the order of the design, which lists those over a grid before the last."""
 MODES = ("cast", "shadow", "whitted", "path")
 PROJECTIONS = ("perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube")
 AVAILABLE_PROJECTIONS = ("perspective", "orthographic")
@@ -369,45 +365,3 @@ def make_options(values: Mapping[str, Any], *, whole: bool = True) -> RenderOpti
     if whole:
         options.check_together()
     return options
-
-
-def effects_text(switched_on: Iterable[str]) -> str:
-    """Effects as an image's header names them: in the fixed order, with underscores, between commas."""
-    names = set(switched_on)
-    return ",".join(name.replace(" ", "_") for name in EFFECTS if name in names)
-
-
-def resolved_header(
-    options: RenderOptions,
-    camera_vectors: Mapping[str, Sequence[float]],
-    effects_on: Iterable[str] | None = None,
-    projection: str = "perspective",
-) -> dict[str, Any]:
-    """What decides the pixels, in a fixed order, for an image's header: no device, method, threads or tile size.
-
-    Keys are bare: a file writer puts `clrast:` before them.
-
-    camera_vectors : name -> 3 float32 values, as in the stats. effects_on : the effects that the plan
-    switched on; None stands for those that the options force on.
-    """
-    if effects_on is None:
-        effects_on = [name for name, state in options.effects.items() if state == "on"]
-    header: dict[str, Any] = {
-        "version": __version__,
-        "size": f"{options.size[0]}x{options.size[1]}",
-        "projection": projection,
-        "mode": options.mode,
-        "precision": options.precision,
-        "aa": options.aa,
-        "effects": effects_text(effects_on),
-    }
-    if options.evaluation != "direct":
-        header["evaluation"] = options.evaluation
-    if options.method != AUTO:
-        edges = resolve_method(options.method, (), intersection=options.intersection).edges
-        if edges != Edges.SPATIAL:
-            header["edges"] = edges.name.lower()
-    for name, vector in camera_vectors.items():
-        x, y, z = (float(component) for component in vector)
-        header[f"camera.{name}"] = (x, y, z)
-    return header

@@ -12,9 +12,10 @@ import time
 from typing import Any
 
 from clrast.image.frame import Frame
+from clrast.image.header import resolved_header
 from clrast.job import RenderJob
 from clrast.opencl.device import Device, open_device
-from clrast.options import RenderOptions, make_options, resolved_header
+from clrast.options import RenderOptions, make_options
 from clrast.scene.camera import CameraVectors, camera_vectors, frame_scene
 from clrast.scene.model import Camera, Scene
 from clrast.shading.effects import EffectPlan, plan_effects

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from clrast import options as o
 from clrast.errors import UsageError
-from clrast.options import AOV_GROUPS, EFFECTS, RenderOptions, UnavailableError, make_options, resolved_header
+from clrast.image.header import resolved_header
+from clrast.options import AOV_GROUPS, EFFECTS, RenderOptions, UnavailableError, make_options
 
 FLOAT32_RANGE = st.floats(min_value=-o.MAX_FLOAT32, max_value=o.MAX_FLOAT32, allow_nan=False, allow_infinity=False)
 

@@ -13,8 +13,7 @@ import typer
 from clrast.commands import messages
 from clrast.commands import parameters as p
 from clrast.commands.progress import progress
-from clrast.commands.render import _once as once
-from clrast.commands.render import check_input
+from clrast.commands.render import check_input, once
 from clrast.commands.request import make_request
 from clrast.commands.stats import to_json
 from clrast.commands.viewpoint import VIEW_NAMES, View, make_view
@@ -212,15 +211,7 @@ def _measure(
         from clrast.scene.load import load
 
         show(f"loading {plan.source}")
-        scene = load(plan.source)
-        comparison = _compare(scene, plan, plan.source, show, notes)
-        if plan.orders:
-            from clrast.study.orders import study_orders
-
-            show("counting what the orders of loops cost")
-            request = make_request(scene, plan.view, plan.given, plan.source)
-            studies.append(study_orders(scene, request.camera, request.options))
-        return [comparison]
+        return [_compare(load(plan.source), plan, plan.source, show, notes, studies)]
     from clrast.study.suite import VIEWS, make_scene, make_view
 
     found, made = [], {}
@@ -229,7 +220,7 @@ def _measure(
         if view.scene not in made:
             made = {view.scene: make_scene(view.scene, scale=plan.suite_scale)}
         scene = make_view(name, made[view.scene])
-        found.append(_compare(scene, plan, name, partial(_show_of_scene, show, name), notes))
+        found.append(_compare(scene, plan, name, partial(_show_of_scene, show, name), notes, studies))
     return found
 
 
@@ -237,17 +228,30 @@ def _show_of_scene(show: Callable[[str], None], name: str, text: str) -> None:
     show(f"{name}: {text}")
 
 
-def _compare(scene: Scene, plan: Plan, source: str, show: Callable[[str], None], notes: list[str]) -> Comparison:
+def _compare(
+    scene: Scene,
+    plan: Plan,
+    source: str,
+    show: Callable[[str], None],
+    notes: list[str],
+    studies: list[OrderStudy],
+) -> Comparison:
     from clrast.study.compare import compare_scene
 
     request = make_request(scene, plan.view, plan.given, source)
     for line in (*scene.warnings, *request.warnings):
         messages.warn(line)
     notes += request.notes
-    return compare_scene(
+    comparison = compare_scene(
         scene, request.camera, request.options, plan.methods, repetitions=plan.repetitions, budget_s=plan.budget_s,
         show=show,
     )  # fmt: skip
+    if plan.orders:
+        from clrast.study.orders import study_orders
+
+        show("counting what the orders of loops cost")
+        studies.append(study_orders(scene, request.camera, request.options))
+    return comparison
 
 
 def _judge(comparisons: Sequence[Comparison]) -> tuple[Verdict, ...]:

@@ -18,7 +18,8 @@ from clrast.commands.request import Request, make_request
 from clrast.commands.stats import complete_stats, report_lines, summary, to_json
 from clrast.commands.viewpoint import VIEW_NAMES, View, make_view
 from clrast.errors import EXIT_OK, InputNotFoundError, OutputError, UsageError
-from clrast.options import OPTION_NAMES, RenderOptions, effects_text, make_options
+from clrast.image.header import effects_text
+from clrast.options import OPTION_NAMES, RenderOptions, make_options
 
 if TYPE_CHECKING:
     from clrast.image.frame import Frame
@@ -111,7 +112,7 @@ def run(values: Mapping[str, Any], started: float) -> int:
 
 def make_job(values: Mapping[str, Any], started: float) -> Job:
     """Parse and check all options; raises UsageError. Reads and writes nothing."""
-    single = {name: _once(name, texts) for name, texts in values.items()}
+    single = {name: once(name, texts) for name, texts in values.items()}
     given = {name: single[name] for name in OPTION_NAMES if single.get(name) not in (None, False)}
     if make_options(given, whole=False).repeat == 0 and "repeat" in given:
         raise UsageError("--repeat 0 renders nothing: give 1 or more, or leave it out")
@@ -124,7 +125,7 @@ def make_job(values: Mapping[str, Any], started: float) -> Job:
     return Job(single["input"], given, view, outputs, started, **shown)
 
 
-def _once(name: str, texts: Any) -> Any:
+def once(name: str, texts: Any) -> Any:
     """The one text of an option, or None; lists stay lists. Two different texts are a UsageError."""
     if not isinstance(texts, (list, tuple)):
         return texts

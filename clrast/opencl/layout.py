@@ -1,4 +1,4 @@
-"""Every struct and constant that host and device share: their only home.
+"""Every struct that host and device share: their only home; and the constants of constants.py.
 
 `kernels.py` turns both into C and prepends them to each program. Fields are ordered large to small,
 so that no compiler adds padding; float4 fields use xyz and leave w at 0 unless a comment says more.
@@ -8,104 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-NO_HIT = 0xFFFFFFFF
-"""`prim_id`, `object_id` and `material_id` where nothing is hit."""
-
-MAX_IMAGE_SIDE = 65535
-"""Pixels; screen bounds are kept in 16 bits a side."""
-
-WIDE_TILE_COUNT = 12
-"""A bound over more tiles than this makes a triangle wide."""
-
-LARGE_BLOCK_COUNT = 24
-"""A bound over more blocks of samples than this in one tile is tested block by block before samples are."""
-
-CROSSING_RATIO = 2.0**-10
-"""A vertex whose depth is under this share of its 1-norm distance counts as crossing the eye's plane."""
-
-BOUND_SLACK = 16.0 * 2.0**-24
-"""Relative widening of a projected screen bound; derived in cl/setup_triangles.cl."""
-
-EDGE_SLACK = 8.0 * 2.0**-24
-"""Forward error of an edge function, relative to the sum of its terms' magnitudes, where a bound is clipped."""
-
-CHUNK_COUNT = 32
-"""Runs of triangles that one work-item each counts and scatters; changes nothing but balance."""
-
-PROJECTION_PERSPECTIVE = 0
-PROJECTION_ORTHOGRAPHIC = 1
-
-PRECISION_FAST = 0
-PRECISION_ORDERED = 1
-PRECISION_MIDPOINT = 2
-
-EDGES_3D = 0
-EDGES_2D = 1
-EDGES_2DH = 2
-EDGES_BARYCENTRIC = 3
-
-EVALUATION_DIRECT = 0
-EVALUATION_INCREMENTAL = 1
-
-INCREMENT_CELL = 32
-"""Samples a side of the squares in which incremental evaluation starts anew; a power of two."""
-
-INCREMENT_SLACK = 64.0 * 2.0**-24
-"""Error of an incrementally evaluated edge function relative to its terms: 16 sums, each within 2^-24, and slack."""
-
-IS_OUTSIDE_NEVER = 0
-IS_OUTSIDE_SCREEN_BOUND = 1
-
-IS_OCCLUDED_NEVER = 0
-IS_OCCLUDED_W_BUFFER = 1
-
-SPLIT_FRUSTUM_NEVER = 0
-SPLIT_FRUSTUM_CENTER = 1
-SPLIT_FRUSTUM_SMALL = 2
-SPLIT_FRUSTUM_ADAPTIVE = 3
-SPLIT_FRUSTUM_ALWAYS = 4
-
-GENERATE_SAMPLES_ROOT = 0
-GENERATE_SAMPLES_LEAF = 1
-
-BINNING_NEVER = 0
-BINNING_BLOCKS = 1
-
-MIN_FRUSTUM_LOG2 = 3
-"""Frusta of 8 x 8 samples are not split (Davidovic et al., section 5)."""
-
-NODE_WIDTH = 16
-"""Children of a node of the BVH."""
-
-LEAF_BIT = 0x80000000
-"""Of a child: it is a leaf, the other bits are its first slot."""
-
-EMPTY_CHILD = 0xFFFFFFFF
-
-WORK_COUNTERS = (
-    "setups", "edge_evaluations", "samples_tested", "samples_covered", "samples_written", "traversal_steps",
-    "frusta_split", "blocks_culled", "nodes_culled",
-)  # fmt: skip
-"""Columns of a work item's counters, in the order of `Work` in cl/counters.clh."""
-
-WORK_COUNTER_COUNT = len(WORK_COUNTERS)
-
-LIGHT_POINT = 0
-LIGHT_SPOT = 1
-LIGHT_DIRECTIONAL = 2
-
-WRAP_REPEAT = 0
-WRAP_MIRROR = 1
-WRAP_CLAMP = 2
-
-MATERIAL_MASK = 1
-MATERIAL_BLEND = 2
-MATERIAL_UNLIT = 4
-
-NO_TEXTURE = 0xFFFFFFFF
-
-PLANE_NONE = 0xFFFFFFFF
-"""Of an output channel group: not asked for."""
+from clrast.opencl.constants import *  # noqa: F403
 
 FLOAT4 = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("w", "<f4")])
 

@@ -156,9 +156,7 @@ class FrustumTraversal:
             **self._resume,
         }
         if self.work is not None:
-            first_row = int(self.view["band_row"]) << self.features.tile_log2
-            rows = min(int(self.view["band_rows"]) << self.features.tile_log2, int(self.view["height"]) - first_row)
-            arguments |= self.work.of_samples(frustum_count, rows * int(self.view["width"]))
+            arguments |= self.work.of_samples(self.view, self.features.tile_log2, frustum_count)
         if self.features.keep_nearness:
             front_nearness, front_prims = front or (self.nearness, self.visible_prims)
             arguments |= {

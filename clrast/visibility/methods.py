@@ -12,14 +12,14 @@ from types import MappingProxyType
 from typing import Any
 
 from clrast.errors import UsageError
-from clrast.opencl import layout
+from clrast.opencl import constants
 from clrast.opencl.features import Edges, Features
 from clrast.visibility.oracles import ORACLES, OracleChoice, parse_oracle
 
 AUTO = "auto"
 
 EVALUATIONS = MappingProxyType(
-    {"direct": layout.EVALUATION_DIRECT, "incremental": layout.EVALUATION_INCREMENTAL}
+    {"direct": constants.EVALUATION_DIRECT, "incremental": constants.EVALUATION_INCREMENTAL}
 )
 
 

@@ -1,7 +1,7 @@
 """The oracles of the continuum as named objects: what each decides, what it can be set to, where it comes from.
 
 Davidovic et al., '3D Rasterization', section 4, Fig. 6 and 7. Their predicates are in cl/oracles.clh; the numbers
-that the two share stand in opencl/layout.py. An oracle only says what is worth doing: whatever it answers, the
+that the two share stand in opencl/constants.py. An oracle only says what is worth doing: whatever it answers, the
 image is the same.
 """
 
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from clrast.errors import UsageError
-from clrast.opencl import layout
+from clrast.opencl import constants
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ ORACLES: Mapping[str, Oracle] = MappingProxyType({
             "drop a node whose screen bound holds no sample of the frustum",
             "4, Fig. 6a",
             {
-                "never": (layout.IS_OUTSIDE_NEVER, "every frustum meets every node"),
-                "screen_bound": (layout.IS_OUTSIDE_SCREEN_BOUND, "the union of the node's canonical screen bounds"),
+                "never": (constants.IS_OUTSIDE_NEVER, "every frustum meets every node"),
+                "screen_bound": (constants.IS_OUTSIDE_SCREEN_BOUND, "the union of the node's canonical screen bounds"),
             },
         ),
         _oracle(
@@ -55,8 +55,8 @@ ORACLES: Mapping[str, Oracle] = MappingProxyType({
             "drop a node that lies behind what every sample of the frustum shows already",
             "4, Fig. 6a; 5",
             {
-                "never": (layout.IS_OCCLUDED_NEVER, "nothing is taken as hidden"),
-                "w_buffer": (layout.IS_OCCLUDED_W_BUFFER, "hierarchical w-buffer against the node's greatest w"),
+                "never": (constants.IS_OCCLUDED_NEVER, "nothing is taken as hidden"),
+                "w_buffer": (constants.IS_OCCLUDED_W_BUFFER, "hierarchical w-buffer against the node's greatest w"),
             },
         ),
         _oracle(
@@ -64,11 +64,11 @@ ORACLES: Mapping[str, Oracle] = MappingProxyType({
             "go on with the four quarters of the frustum, down to 8 x 8 samples",
             "4, Fig. 6b, c; 5",
             {
-                "never": (layout.SPLIT_FRUSTUM_NEVER, "frusta stay whole"),
-                "center": (layout.SPLIT_FRUSTUM_CENTER, "where the centre's ray misses the node"),
-                "small": (layout.SPLIT_FRUSTUM_SMALL, "where the node is small against the frustum"),
-                "adaptive": (layout.SPLIT_FRUSTUM_ADAPTIVE, "where its centre misses the node or the node is small"),
-                "always": (layout.SPLIT_FRUSTUM_ALWAYS, "at once, down to the smallest"),
+                "never": (constants.SPLIT_FRUSTUM_NEVER, "frusta stay whole"),
+                "center": (constants.SPLIT_FRUSTUM_CENTER, "where the centre's ray misses the node"),
+                "small": (constants.SPLIT_FRUSTUM_SMALL, "where the node is small against the frustum"),
+                "adaptive": (constants.SPLIT_FRUSTUM_ADAPTIVE, "where its centre misses the node or the node is small"),
+                "always": (constants.SPLIT_FRUSTUM_ALWAYS, "at once, down to the smallest"),
             },
             ("areas of the node's bound that fit into a frustum for which it is small", 4, 1, 65536),
         ),
@@ -77,8 +77,8 @@ ORACLES: Mapping[str, Oracle] = MappingProxyType({
             "rasterize the node's triangles now, in place of visiting its children",
             "4, Fig. 6d",
             {
-                "root": (layout.GENERATE_SAMPLES_ROOT, "at once, with all triangles: no acceleration structure"),
-                "leaf": (layout.GENERATE_SAMPLES_LEAF, "at the leaves of the BVH"),
+                "root": (constants.GENERATE_SAMPLES_ROOT, "at once, with all triangles: no acceleration structure"),
+                "leaf": (constants.GENERATE_SAMPLES_LEAF, "at the leaves of the BVH"),
             },
         ),
         _oracle(
@@ -86,8 +86,8 @@ ORACLES: Mapping[str, Oracle] = MappingProxyType({
             "test blocks of samples against a triangle's edges and nearness before its samples",
             "4, 'Binning'; 5",
             {
-                "never": (layout.BINNING_NEVER, "every sample of the triangle's bound in the frustum"),
-                "blocks": (layout.BINNING_BLOCKS, "blocks of samples, and early w"),
+                "never": (constants.BINNING_NEVER, "every sample of the triangle's bound in the frustum"),
+                "blocks": (constants.BINNING_BLOCKS, "blocks of samples, and early w"),
             },
         ),
     )

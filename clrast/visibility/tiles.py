@@ -198,9 +198,7 @@ class TileRasterizer:
             **self.surfaces,
         }
         if self.work is not None:
-            first_row = int(self.view["band_row"]) << self.features.tile_log2
-            rows = min(int(self.view["band_rows"]) << self.features.tile_log2, int(self.view["height"]) - first_row)
-            common |= self.work.of_samples(tile_count, rows * int(self.view["width"]))
+            common |= self.work.of_samples(self.view, self.features.tile_log2, tile_count)
         if not self.features.keep_nearness:
             self._launch("rasterize_tiles.cl", "rasterize_tiles", tile_count, **common)
             return

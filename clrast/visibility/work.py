@@ -54,8 +54,11 @@ class WorkCounters:
             self._clear_rows()
         return self._rows
 
-    def of_samples(self, item_count: int, pixel_count: int) -> dict[str, Any]:
-        """Arguments of a kernel that decides samples."""
+    def of_samples(self, view: np.ndarray, tile_log2: int, item_count: int) -> dict[str, Any]:
+        """Arguments of a kernel that decides the samples of the view's band."""
+        first_row = int(view["band_row"]) << tile_log2
+        row_count = min(int(view["band_rows"]) << tile_log2, int(view["height"]) - first_row)
+        pixel_count = row_count * int(view["width"])
         return {"work": self.rows(item_count), "cost": self.cost, "pixel_count": pixel_count}
 
     def collect(self) -> dict[str, int]:
