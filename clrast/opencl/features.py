@@ -7,7 +7,7 @@ from enum import IntEnum
 
 
 class Precision(IntEnum):
-    """Rungs of `--precision`, with the numbers that kernels compare against (PRECISION_* in layout.py)."""
+    """Rungs of `--precision`, with the numbers that kernels compare against (PRECISION_* in constants.py)."""
 
     FAST = 0
     ORDERED = 1
@@ -18,7 +18,7 @@ class Precision(IntEnum):
 
 
 class Projection(IntEnum):
-    """Sample generators (PROJECTION_* in layout.py)."""
+    """Sample generators (PROJECTION_* in constants.py)."""
 
     PERSPECTIVE = 0
     ORTHOGRAPHIC = 1
@@ -27,7 +27,7 @@ class Projection(IntEnum):
 
 
 class Edges(IntEnum):
-    """How the three edge functions of a triangle are found (EDGES_* in layout.py)."""
+    """How the three edge functions of a triangle are found (EDGES_* in constants.py)."""
 
     SPATIAL = 0
     PROJECTED = 1
@@ -51,7 +51,7 @@ class Features:
     keep_nearness: bool = False  # a tile's nearness goes to memory: split launches, layers behind BLEND surfaces
     prefetch: bool = False  # the compiler's prefetch, on CPUs whose own OpenCL prefetch() does nothing
     counters: bool = False
-    evaluation: int = 0  # EVALUATION_* of layout.py
+    evaluation: int = 0  # EVALUATION_* of constants.py
     is_outside: int = 0  # the oracles of traverse_frusta.cl: numbers of visibility/oracles.py
     is_occluded: int = 0
     split_frustum: int = 0

@@ -51,10 +51,6 @@ class ScreenBounds:
         self.chunk_size = chunk_size
         self.chunk_count = max(1, -(-self.padded_count // chunk_size))
 
-    @property
-    def nbytes(self) -> int:
-        return (BOUND_BYTES + (4 if self.nearest is not None else 0)) * self.padded_count
-
     def find(self, view: np.ndarray, work: WorkCounters | None) -> None:
         """Enqueue the setup of every triangle's bound (and nearness)."""
         more: dict[str, Any] = {} if self.nearest is None else {"nearest": self.nearest}

@@ -28,10 +28,6 @@ class WorkCounters:
         self.cost = buffers.create(device, 4 * COST_PLANES * pixel_count)
         self.totals = dict.fromkeys(WORK_COUNTERS, 0)
 
-    @property
-    def nbytes(self) -> int:
-        return 4 * COST_PLANES * self.pixel_count + 8 * len(WORK_COUNTERS) * self._row_count
-
     def clear(self) -> None:
         """Begin a frame."""
         self.totals = dict.fromkeys(WORK_COUNTERS, 0)
