@@ -8,8 +8,8 @@ Views: from outside and from inside (perspective). id.prim and Z of each method 
 edges and for the barycentric form every sample that differs must lie within float32 rounding of an edge of one of
 the two triangles, or one of these must be seen edge-on within rounding, or both must be equally near within it. What
 rounding can do is found by float64 twins of the formulas with running error bounds (tests/edge_twins.py), and for
-3D edges by BOUND_SLACK of opencl/constants.py, derived in cl/setup_triangles.cl. METHOD:incremental is held against direct
-evaluation in the same way, with INCREMENT_SLACK of constants.py for the sums.
+3D edges by BOUND_SLACK of opencl/constants.py, derived in cl/setup_triangles.cl. METHOD:incremental is held against
+direct evaluation in the same way, with INCREMENT_SLACK of constants.py for the sums.
 """
 
 from __future__ import annotations
