@@ -29,10 +29,11 @@ from fractions import Fraction
 from math import isqrt
 
 import numpy as np
-from exact_visibility import NO_HIT, ExactVisibility
 from float32_bounds import Float32Bounds
-from linear_forms import IntegerForms
 from mesh_topology import Topology
+
+from clrast.study.exact_visibility import NO_HIT, ExactVisibility
+from clrast.study.linear_forms import IntegerForms
 
 LIMIT = 50_000
 WRONG_KINDS = ("fan", "tie", "hole", "farther", "phantom", "unexamined")

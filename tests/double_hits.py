@@ -13,7 +13,8 @@ from itertools import combinations
 
 import numpy as np
 from classify_visibility import Classifier, Difference
-from exact_visibility import NO_HIT
+
+from clrast.study.exact_visibility import NO_HIT
 
 RenderIds = Callable[[np.ndarray], np.ndarray]
 """Takes chosen prim_ids (ascending) and returns the id image of that part, numbered from 0 within the part."""

@@ -11,8 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from exact_visibility import NO_HIT, PAIRS_PER_CHUNK, screen_boxes, small_boxes, spread
-from linear_forms import float_forms
+
+from clrast.study.exact_visibility import NO_HIT, PAIRS_PER_CHUNK, screen_boxes, small_boxes, spread
+from clrast.study.linear_forms import float_forms
 
 RUNGS = ("midpoint", "fast", "contracted")
 FLOAT32_SLACK = 2.0**31  # float64 bounds times this let no sample out that float32 rounding could cover

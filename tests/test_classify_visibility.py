@@ -9,10 +9,11 @@ import pytest
 import reference as ref
 from classify_visibility import Classifier, classify, depth_errors
 from double_hits import double_hits, hit_counts
-from exact_visibility import NO_HIT, exact_visibility
 from float32_bounds import Float32Bounds
 from float32_twin import RUNGS, columns, dot, edge_parts, hits, minus, render_twin
 from mesh_topology import Topology
+
+from clrast.study.exact_visibility import NO_HIT, exact_visibility
 
 PERSPECTIVE = {"e": [0, 0, 0], "d0": [-0.5, 0.5, -1], "dx": [0.125, 0, 0], "dy": [0, -0.125, 0]}
 SIZE = 8

@@ -25,7 +25,6 @@ from continuum_world import (
     soup,
 )
 from edge_error import near_edges
-from exact_visibility import exact_visibility
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from kernel_world import NO_HIT, make_scene, orthographic, perspective, render, start
@@ -39,6 +38,7 @@ from clrast.opencl.layout import EMPTY_CHILD, LEAF_BIT, NODE_WIDTH
 from clrast.options import AVAILABLE_PRECISIONS
 from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Scene
+from clrast.study.exact_visibility import exact_visibility
 from clrast.visibility import frusta
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import resolve_method

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from continuum_world import ROWS, differences, glass_and_leaves, images, oblique, soup
-from exact_visibility import exact_visibility
 from kernel_world import NO_HIT, make_scene, orthographic, start
 
 from clrast import job as job_module
@@ -18,6 +17,7 @@ from clrast.opencl import kernels
 from clrast.opencl.device import Device
 from clrast.opencl.layout import EMPTY_CHILD, LARGE_BLOCK_COUNT, MIN_FRUSTUM_LOG2, WORK_COUNTERS
 from clrast.scene.model import Scene
+from clrast.study.exact_visibility import exact_visibility
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import resolve_method
 

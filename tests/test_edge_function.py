@@ -12,7 +12,6 @@ import reference as ref
 from classify_visibility import Classifier, classify
 from double_hits import double_hits
 from edge_error import U, edge_error, permanent
-from exact_visibility import exact_visibility
 from kernel_probe import Probe
 from kernel_world import NO_HIT, coverage, make_scene, orthographic, perspective, render, render_ids
 
@@ -20,6 +19,7 @@ from clrast.opencl.device import Device
 from clrast.opencl.features import Precision, Projection
 from clrast.scene.camera import CameraVectors, camera_vectors
 from clrast.scene.model import Camera, Scene
+from clrast.study.exact_visibility import exact_visibility
 
 SIZE = 64
 RUNGS = ("fast", "ordered", "midpoint")

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import reference as ref
-from exact_visibility import exact_visibility
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import NO_HIT
+
+from clrast.study.exact_visibility import exact_visibility
 
 WIDTH, HEIGHT = 9, 7
 # Sample centres see short binary fractions exactly, so vertices and edges can fall on them.

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from classify_visibility import Difference, classify
 from edge_error import near_edges
-from exact_visibility import exact_visibility
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from kernel_world import NO_HIT, Raster, make_scene, orthographic, perspective, rasterize, render, start
 from kernel_world import settings as set_up
-from linear_forms import float_forms
 
 from clrast.errors import CapacityError
 from clrast.opencl import layout
 from clrast.opencl.device import Device
 from clrast.scene.camera import CameraVectors, camera_vectors
 from clrast.scene.model import Camera, Scene
+from clrast.study.exact_visibility import exact_visibility
+from clrast.study.linear_forms import float_forms
 
 PROPERTY = settings(
     max_examples=40,

@@ -5,8 +5,8 @@
     python tools/check_visibility.py a.ply --views outside --random 4 --seed 7 --json report.json
     python tools/check_visibility.py a.glb --view nave:-10,-9,0:10,-8,0:70 --renderer midpoint
 
-What is right comes from tests/exact_visibility.py, which shares nothing with the kernels; what is wrong is named by
-tests/classify_visibility.py. Bars: no hole and no double hit along an edge; at most 1 sample in 20,000 given to the
+What is right comes from clrast/study/exact_visibility.py, which shares nothing with the kernels; what is wrong is
+named by tests/classify_visibility.py. Bars: no hole, no double hit along an edge; at most 1 sample in 20,000 given to the
 neighbour across an edge within float32 rounding; at most 1 in 100,000 anything else (holes, phantoms, farther
 surfaces, ties, fans); Z within 1e-5 relative; camera vectors within one float32 step of the definition.
 """
@@ -30,9 +30,10 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from classify_visibility import Classification, classify  # noqa: E402
 from double_hits import double_hits  # noqa: E402
-from exact_visibility import ExactVisibility, exact_visibility  # noqa: E402
 from float32_twin import RUNGS, render_twin  # noqa: E402
 from reference import camera_vectors_float64, round_camera  # noqa: E402
+
+from clrast.study.exact_visibility import ExactVisibility, exact_visibility  # noqa: E402
 
 SCENES = ("bunny.ply", "dragon.ply", "suzanne.obj", "teapot.obj", "sponza.glb", "sibenik.glb")
 NEIGHBOUR_BAR, WRONG_BAR, DEPTH_BAR = 20_000, 100_000, 1e-5
@@ -132,7 +133,7 @@ def cached_exact(
     for array in (scene.positions, scene.triangles.astype(np.uint32)):
         key.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
     for name in EXACT_FILES:
-        key.update((ROOT / "tests" / name).read_bytes())
+        key.update((ROOT / "clrast" / "study" / name).read_bytes())
     file = folder / f"{key.hexdigest()[:32]}.npz"
     if file.exists():
         with np.load(file) as known:

@@ -16,7 +16,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from linear_forms import BOUND_64, FloatForms, IntegerForms, cross, dot, float_forms
+
+from .linear_forms import BOUND_64, FloatForms, IntegerForms, cross, dot, float_forms
 
 NO_HIT = 4294967295
 BLOCK_SIDES = (128, 16)
