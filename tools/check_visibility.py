@@ -6,8 +6,8 @@
     python tools/check_visibility.py a.glb --view nave:-10,-9,0:10,-8,0:70 --renderer midpoint
 
 What is right comes from clrast/study/exact_visibility.py, which shares nothing with the kernels; what is wrong is
-named by tests/classify_visibility.py. Bars: no hole, no double hit along an edge; at most 1 sample in 20,000 given to the
-neighbour across an edge within float32 rounding; at most 1 in 100,000 anything else (holes, phantoms, farther
+named by tests/classify_visibility.py. Bars: no hole, no double hit along an edge; at most 1 sample in 20,000 given
+to the neighbour across an edge within float32 rounding; at most 1 in 100,000 anything else (holes, phantoms, farther
 surfaces, ties, fans); Z within 1e-5 relative; camera vectors within one float32 step of the definition.
 """
 
