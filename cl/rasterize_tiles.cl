@@ -36,6 +36,9 @@ INLINE void load_references(
     float lowest,
     uint first,
     uint end,
+#if FILTERED
+    global const char *restrict facing_signs,
+#endif
     global const float4 *restrict corners,
     global const uint *restrict reference_prims,
     global const uint *restrict reference_bounds) {
@@ -50,7 +53,12 @@ INLINE void load_references(
   find_masked(batch, frame, triangles, view);
 #endif
   const int_v bounds = AS_INT_V(LOAD_V(reference_bounds + first));
-  fill_batch(batch, setup_triangles_at(triangles, view), frame,
+#if FILTERED
+  const TriangleSetup setup = setup_triangles_settled(triangles, view, batch->prim_id, facing_signs);
+#else
+  const TriangleSetup setup = setup_triangles_at(triangles, view);
+#endif
+  fill_batch(batch, setup, frame,
              bounds & 0xff, bounds >> 8 & 0xff, bounds >> 16 & 0xff, bounds >> 24 & 0xff, LANES < (int)(end - first),
              lowest);
 }
@@ -81,6 +89,12 @@ kernel void rasterize_tiles(
     global const float2 *restrict uv1,           // [vertex_count]
     global const float4 *restrict colors,        // [vertex_count] linear
 #endif
+#if FILTERED
+    uint contender_capacity,                  // entries of the list
+    global uint *restrict contender_state,    // [CONTENDER_WORDS] first word: contenders found
+    global uint2 *restrict contenders,        // [contender_capacity] pixel of the band, prim_id
+    global const char *restrict facing_signs, // [padded triangle_count] signs that float32 cannot tell, by slot
+#endif
     global const float4 *restrict corners,    // [3 * triangle_count] canonical corners and normals
     global const uint *restrict tile_begin,   // [tile_count + 1] first reference of each tile
     global const uint *restrict reference_prims,  // [reference_capacity] prim_id
@@ -108,6 +122,11 @@ kernel void rasterize_tiles(
   frame.surfaces = surfaces;
   frame.indices = indices;
 #endif
+#if FILTERED
+  frame.contender_capacity = contender_capacity;
+  frame.contender_state = contender_state;
+  frame.contenders = contenders;
+#endif
   TileSamples samples;
   uint begin = tile_begin[tile], end = min(tile_begin[tile + 1], reference_capacity);
 #if KEEP_NEARNESS
@@ -121,7 +140,11 @@ kernel void rasterize_tiles(
   for (uint k = begin; k < end; k += VECTOR_WIDTH) {
     if (k != begin && (k - begin) % REFRESH_PERIOD == 0) tile_lowest = refresh_lowest(&samples);
     Batch batch;
+#if FILTERED
+    load_references(&batch, view, &frame, tile_lowest, k, end, facing_signs, corners, reference_prims, reference_bounds);
+#else
     load_references(&batch, view, &frame, tile_lowest, k, end, corners, reference_prims, reference_bounds);
+#endif
 #if COUNTERS
     count_batch(&batch, LANES < (int)(end - k), &samples);
 #endif
@@ -130,6 +153,9 @@ kernel void rasterize_tiles(
   store_tile(view, left, top, samples.visible, visible_prims);
 #if KEEP_NEARNESS
   store_nearness(view, left, top, samples.nearness, nearness);
+#if FILTERED
+  store_nearness(view, left, top, samples.upper_nearness, nearness + band_pixels(view));
+#endif
 #endif
 #if COUNTERS
   store_work(view, left, top, &samples, tile, work, cost, pixel_count);

@@ -91,7 +91,11 @@ INLINE ScreenPoint project_point(Vec3 p, View view) {
   const float_v nearness = 1.0f / point.depth;
   point.x *= nearness;
   point.y *= nearness;
+#if FILTERED
+  point.crossing = !(point.depth > margin + LENGTH_FLOOR);  // products of what is smaller may underflow
+#else
   point.crossing = !(point.depth > margin);
+#endif
 #endif
   point.behind = point.depth < -margin;
   return point;
@@ -133,6 +137,17 @@ INLINE void bound_crossing_lanes(
   }
 }
 
+#if FILTERED
+// Lists the lanes of `unsure` that a sample may see: settle_facing finds their signs.
+static void list_unsure_facings(int_v unsure, uint_v high, uint first, uint slot_count, global uint *restrict state,
+                                global uint *restrict slots) {
+  int wanted[VECTOR_WIDTH];
+  STORE_V(unsure & (high != 0), wanted);
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane)
+    if (wanted[lane] && first + lane < slot_count) slots[atomic_inc(state + CONTENDER_FACINGS)] = first + lane;
+}
+#endif
+
 #if NODE_BOUNDS
 // The greatest nearness that a lane's triangle reaches at a sample of its bound: exact, by monotonicity.
 INLINE float_v nearest_in_bound(TriangleSetup setup, View view, uint_v low, uint_v high) {
@@ -140,7 +155,12 @@ INLINE float_v nearest_in_bound(TriangleSetup setup, View view, uint_v low, uint
   const float_v y0 = TO_FLOAT_V(AS_INT_V(low >> 16)) + (0.5f - view.center_y);
   const float_v x1 = TO_FLOAT_V(AS_INT_V(high & 0xffffu)) - (0.5f + view.center_x);
   const float_v y1 = TO_FLOAT_V(AS_INT_V(high >> 16)) - (0.5f + view.center_y);
-  return block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, x0, y0, x1, y1);
+  float_v nearest = block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, x0, y0, x1, y1);
+#if FILTERED
+  float span[VECTOR_WIDTH];
+  nearest = widen_nearness(&setup, nearest, view.center_x, view.center_y, span);
+#endif
+  return nearest;
 }
 #endif
 
@@ -156,6 +176,10 @@ kernel void setup_triangles(
 #endif
 #if NODE_BOUNDS
     global float *restrict nearest,           // [padded triangle_count] greatest nearness of any sample in the bound
+#endif
+#if FILTERED
+    global uint *restrict contender_state,    // [CONTENDER_WORDS] counts the facings
+    global uint *restrict unsure_slots,       // [triangle_count] slots whose facing float32 cannot tell
 #endif
     global uint *restrict bounds_low,         // [padded triangle_count] x0 | y0 << 16, first column and row
     global uint *restrict bounds_high)        // [padded triangle_count] x1 | y1 << 16, one past the last
@@ -175,11 +199,23 @@ kernel void setup_triangles(
     const float_v x_low = min(a.x, min(b.x, c.x)), x_high = max(a.x, max(b.x, c.x));
     const float_v y_low = min(a.y, min(b.y, c.y)), y_high = max(a.y, max(b.y, c.y));
     const float_v reach = max(max(-x_low, x_high), 0.0f) + max(max(-y_low, y_high), 0.0f) + view.focal;
+#if FILTERED
+    // Conservative without an exception: for the sums with the image's centre as well.
+    const float_v slack = reach * reach * (2.0f * BOUND_SLACK / view.focal) + BOUND_SLACK * (view.center_x + view.center_y);
+#else
     const float_v slack = reach * reach * (BOUND_SLACK / view.focal);
-    const int_v x0 = first_center(x_low - slack, view.center_x, view.width);
-    const int_v y0 = first_center(y_low - slack, view.center_y, view.height);
-    const int_v x1 = end_center(x_high + slack, view.center_x, view.width);
-    const int_v y1 = end_center(y_high + slack, view.center_y, view.height);
+#endif
+    int_v x0 = first_center(x_low - slack, view.center_x, view.width);
+    int_v y0 = first_center(y_low - slack, view.center_y, view.height);
+    int_v x1 = end_center(x_high + slack, view.center_x, view.width);
+    int_v y1 = end_center(y_high + slack, view.center_y, view.height);
+#if FILTERED
+    const int_v unbounded = !(slack < 1.0e9f);
+    x0 = unbounded ? (int_v)(0) : x0;
+    y0 = unbounded ? (int_v)(0) : y0;
+    x1 = unbounded ? (int_v)((int)view.width) : x1;
+    y1 = unbounded ? (int_v)((int)view.height) : y1;
+#endif
     // Lanes past the last triangle, like triangles behind the eye and empty boxes, get the bound 0, 0.
     const int_v behind = a.behind & b.behind & c.behind;
     const int_v dropped = behind | (x0 >= x1) | (y0 >= y1) | (LANES >= (int)(triangle_count - k));
@@ -195,13 +231,23 @@ kernel void setup_triangles(
       STORE_V(crossing, lane_crossing);
       STORE_V(low, lane_low);
       STORE_V(high, lane_high);
-      bound_crossing_lanes(lane_crossing, setup_triangles_3d(triangles, view), view, lane_low, lane_high);
+#if FILTERED
+      const TriangleSetup edges = setup_triangles_at(triangles, view);
+#else
+      const TriangleSetup edges = setup_triangles_3d(triangles, view);
+#endif
+      bound_crossing_lanes(lane_crossing, edges, view, lane_low, lane_high);
       STORE_V(LOAD_V(lane_low), bounds_low + k);
       STORE_V(LOAD_V(lane_high), bounds_high + k);
 #if COUNTERS
       work[WORK_COUNTER_COUNT * (size_t)get_global_id(0)] += count_lanes(crossing);
 #endif
     }
+#endif
+#if FILTERED
+    const Facing facing = facing_of(volume_of(triangles, view), view);
+    if (LANE_MASK(facing.unsure) != 0)
+      list_unsure_facings(facing.unsure, LOAD_V(bounds_high + k), k, triangle_count, contender_state, unsure_slots);
 #endif
 #if NODE_BOUNDS
     const TriangleSetup setup = setup_triangles_at(triangles, view);

@@ -181,6 +181,12 @@ kernel void traverse_frusta(
     global const float2 *restrict uv1,           // [vertex_count]
     global const float4 *restrict colors,        // [vertex_count] linear
 #endif
+#if FILTERED
+    uint contender_capacity,                     // entries of the list
+    global uint *restrict contender_state,       // [CONTENDER_WORDS] first word: contenders found
+    global uint2 *restrict contenders,           // [contender_capacity] pixel of the band, prim_id
+    global const char *restrict facing_signs,    // [padded triangle_count] signs that float32 cannot tell, by slot
+#endif
     global const float4 *restrict corners,       // [3 * triangle_count] canonical corners and normals, by slot
     global const uint *restrict prims,           // [triangle_count] prim_id of each slot
     global const uint *restrict bounds_low,      // [padded triangle_count] x0 | y0 << 16, by slot
@@ -204,6 +210,12 @@ kernel void traverse_frusta(
   const int top_row = (item / view.tile_columns + view.band_row) << TILE_LOG2;
   Scene s = {view, make_frame(view, left, top_row), left, top_row, (int)small_ratio, corners, prims, bounds_low,
              bounds_high, nearest, children, slot_counts, node_low, node_high, node_nearest, 0};
+#if FILTERED
+  s.frame.contender_capacity = contender_capacity;
+  s.frame.contender_state = contender_state;
+  s.frame.contenders = contenders;
+  s.facing_signs = facing_signs;
+#endif
 #if ALPHA_MASK
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
   s.frame.surfaces = surfaces;
@@ -252,6 +264,9 @@ kernel void traverse_frusta(
   store_tile(view, left, top_row, samples.visible, visible_prims);
 #if KEEP_NEARNESS
   store_nearness(view, left, top_row, samples.nearness, nearness);
+#if FILTERED
+  store_nearness(view, left, top_row, samples.upper_nearness, nearness + band_pixels(view));
+#endif
 #endif
 #if COUNTERS
   store_work(view, left, top_row, &samples, item, work, cost, pixel_count);

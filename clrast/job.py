@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from clrast.errors import CapacityError
+from clrast.errors import CapacityError, DeviceError
 from clrast.image.frame import CHANNEL_GROUPS, channels_of
 from clrast.opencl import buffers
 from clrast.opencl.device import Device
@@ -31,8 +31,9 @@ from clrast.visibility.geometry import build_geometry
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import AUTO, Method, resolve_method
 from clrast.visibility.screen_bounds import BOUND_BYTES
+from clrast.visibility.settle import ContenderList, settle_bytes
 from clrast.visibility.tiles import TileRasterizer
-from clrast.visibility.view import build_view
+from clrast.visibility.view import build_camera, build_view
 from clrast.visibility.work import COST_PLANES, WorkCounters
 
 TILE_LOG2_SMALL, TILE_LOG2_LARGE = 5, 6
@@ -95,12 +96,15 @@ def make_features(
     bvh: Bvh | None,
 ) -> Features:
     """The build options of all kernels of one render."""
+    if options.precision == "double" and not device.has_fp64:
+        raise DeviceError(f"--precision double: {device.name} has no float64: use exact, which does without")
     tile_log2 = square_log2(device, method, options.size[0] * options.size[1])
     limited = loop_limit(device) is not None
     return method.configure(Features(
         vector_width=device.vector_width,
         tile_log2=tile_log2,
         precision=Precision[options.precision.upper()],
+        float64=device.has_fp64,
         projection=Projection[vectors.projection.upper()],
         keep_nearness=plan["alpha blend"] or limited,
         prefetch=device.runtime in PREFETCHING,
@@ -154,6 +158,7 @@ class RenderJob:
         self.bands = self._plan_bands()
         started = time.perf_counter()
         self.work = WorkCounters(device, self.bands.max_pixels) if self.features.counters else None
+        self.contenders = self._make_contenders()
         self.tiles = self._make_visibility()
         self.shader = Shader(
             device,
@@ -168,24 +173,35 @@ class RenderJob:
         self.hit_count = 0
         self.launches = self.passes = self.reference_peak = self.band_count = 0
 
+    def _make_contenders(self) -> ContenderList | None:
+        if not self.features.filtered:
+            return None
+        masks = self.surfaces.named(*MASK_ARGUMENTS)
+        camera, slots = build_camera(self.vectors), self.scene.triangle_count + self.features.vector_width
+        return ContenderList(self.device, self.features, self.geometry, camera, masks, self.bands.max_pixels, slots)
+
     def _make_visibility(self) -> TileRasterizer | FrustumTraversal:
         masks = self.surfaces.named(*MASK_ARGUMENTS)
-        common = (self.view, self.geometry, masks, self.bands.band_rows, self.work)
+        common = (self.view, self.geometry, masks, self.bands.band_rows, self.work, self.contenders)
         if self.method.tiles:
             return TileRasterizer(self.device, self.features, *common)
         return FrustumTraversal(self.device, self.features, self.method, *common)
 
     def _plan_bands(self) -> BandPlan:
         per_pixel = 4 + Shader.bytes_per_pixel(self.groups)
+        planes = 2 if self.features.filtered else 1
         if self.features.keep_nearness:
-            per_pixel += 4
+            per_pixel += 4 * planes
         if self.plan["alpha blend"]:
-            per_pixel += 8
+            per_pixel += 4 + 4 * planes
         if self.features.counters:
             per_pixel += 4 * COST_PLANES
         fixed, of_square = 0, 0
         if not self.method.tiles:
             fixed, of_square = traversal_bytes(self.features, self.geometry.bvh, self.scene.triangle_count)
+        if self.features.filtered:
+            width, height = self.options.size
+            fixed += settle_bytes(width * height, self.scene.triangle_count)
         return plan_bands(
             self.view,
             self.tile_log2,
@@ -297,13 +313,14 @@ class RenderJob:
     def _render_layers(self, pixel_count: int) -> None:
         """Add what lies behind BLEND surfaces, layer by layer; each layer lies strictly behind the last."""
         layer, size = 0, 4 * pixel_count
-        front_nearness, front_prims = (buffers.create(self.device, size) for _ in range(2))
+        nearness_size = size * (2 if self.features.filtered else 1)
+        front_nearness, front_prims = (buffers.create(self.device, each) for each in (nearness_size, size))
         assert self.tiles.nearness is not None
         while self.shader.has_open_pixels(pixel_count):
             layer += 1
-            buffers.copy(self.device, self.tiles.nearness, front_nearness, size)
+            buffers.copy(self.device, self.tiles.nearness, front_nearness, nearness_size)
             buffers.copy(self.device, self.tiles.visible_prims, front_prims, size)
-            self.shader.close_pixels(front_nearness, pixel_count)
+            self.shader.close_pixels(front_nearness, front_prims, pixel_count)
             self._timed("visibility", partial(self.tiles.rasterize, layer, (front_nearness, front_prims)))
             self.passes += 1
             shade = partial(self.shader.shade, self.tiles.view, self.tiles.visible_prims, pixel_count, layer)
@@ -316,6 +333,7 @@ class RenderJob:
             + BOUND_BYTES * self.scene.triangle_count
             + self.bands.pixel_bytes * self.bands.max_pixels
             + self.tiles.list_bytes()
+            + (0 if self.contenders is None else self.contenders.nbytes)
         )
 
     def work_counts(self) -> tuple[dict[str, int], dict[str, int]]:
@@ -358,7 +376,8 @@ class RenderJob:
                 "passes": self.passes,
                 **counted,
             },
-            "other_counts": {"bands": self.band_count, "tile_references": self.reference_peak, **more_counted},
+            "other_counts": {"bands": self.band_count, "tile_references": self.reference_peak, **more_counted,
+                             **({} if self.contenders is None else self.contenders.counts)},
             "times_ms": {
                 **{stage: 0.0 for stage in ("build", "setup", "bin", "visibility", "shade", "resolve", "plan")},
                 **self.times,

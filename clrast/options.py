@@ -20,7 +20,7 @@ from clrast.visibility.methods import METHODS as METHOD_TABLE
 from clrast.visibility.oracles import parse_oracle
 
 PRECISIONS = ("fast", "ordered", "midpoint", "double", "fixed", "exact")
-AVAILABLE_PRECISIONS = ("fast", "ordered", "midpoint")
+AVAILABLE_PRECISIONS = ("fast", "ordered", "midpoint", "double", "exact")
 AVAILABLE_METHODS = (AUTO, *METHOD_TABLE)
 METHODS = (*AVAILABLE_METHODS[:-1], "raycast-grid", "raycast-grid-multipass", AVAILABLE_METHODS[-1])
 """In the order of the design, which lists those over a grid before the last."""

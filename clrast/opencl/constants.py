@@ -24,6 +24,20 @@ BOUND_SLACK = 16.0 * 2.0**-24
 EDGE_SLACK = 8.0 * 2.0**-24
 """Forward error of an edge function, relative to the sum of its terms' magnitudes, where a bound is clipped."""
 
+CONTENDER_COUNT = 0
+"""Words of a contender list's state: how many contenders there are,"""
+
+CONTENDER_FACINGS = 1
+"""how many triangles show float32 no side,"""
+
+CONTENDER_FLOAT64 = 2
+"""how many contenders float64 settled,"""
+
+CONTENDER_EXACT = 3
+"""and how many exact arithmetic."""
+
+CONTENDER_WORDS = 4
+
 CHUNK_COUNT = 32
 """Runs of triangles that one work-item each counts and scatters; changes nothing but balance."""
 
@@ -33,6 +47,9 @@ PROJECTION_ORTHOGRAPHIC = 1
 PRECISION_FAST = 0
 PRECISION_ORDERED = 1
 PRECISION_MIDPOINT = 2
+PRECISION_DOUBLE = 3
+PRECISION_FIXED = 4
+PRECISION_EXACT = 5
 
 EDGES_3D = 0
 EDGES_2D = 1

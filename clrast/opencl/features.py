@@ -46,6 +46,7 @@ class Features:
     vector_width: int = 16  # samples per explicit vector: 1, 8, 16
     tile_log2: int = 5  # tiles have 2**tile_log2 samples a side
     precision: Precision = Precision.MIDPOINT
+    float64: bool = False  # the device has it: exact decisions ask it before integers
     projection: Projection = Projection.PERSPECTIVE
     edges: Edges = Edges.SPATIAL
     keep_nearness: bool = False  # a tile's nearness goes to memory: split launches, layers behind BLEND surfaces
@@ -68,6 +69,11 @@ class Features:
     emission: bool = False
     vertex_colors: bool = False
     lit: bool = False  # punctual lights; off: the headlight
+
+    @property
+    def filtered(self) -> bool:
+        """Whether float32 only filters samples, and the rest is settled by float64 or exact arithmetic."""
+        return self.precision in (Precision.DOUBLE, Precision.EXACT)
 
     def defines(self, source: str | None = None) -> tuple[str, ...]:
         """`-D NAME=value` for each field, in their order; with `source` only those that it mentions."""

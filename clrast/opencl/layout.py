@@ -34,11 +34,21 @@ VIEW = np.dtype(
         ("tile_rows", "<u4"),
         ("band_row", "<u4"),  # first tile row of this band
         ("band_rows", "<u4"),  # tile rows in this band
-        ("unused0", "<u4"),
-        ("unused1", "<u4"),
+        ("direction_reach", "<f4"),  # largest component of d at any sample of the image, rounded up
+        ("origin_reach", "<f4"),  # orthographic: 1-norm of a ray's origin relative to `origin`, rounded up
     ]
 )
 """The camera and the image, as every kernel gets them."""
+
+CAMERA = np.dtype(
+    [
+        ("origin", "<f4", 4),  # e; orthographic: e0
+        ("direction", "<f4", 4),  # d0; orthographic: d
+        ("step_x", "<f4", 4),  # dx; orthographic: ex
+        ("step_y", "<f4", 4),  # dy; orthographic: ey
+    ]
+)
+"""The camera vectors as they are defined, at no scale: what exact arithmetic starts from."""
 
 MATERIAL = np.dtype(
     [
@@ -100,7 +110,7 @@ PLANES = np.dtype(
 )
 """Where `shade_hits` writes each channel group: plane k starts at k * pixel count."""
 
-STRUCTS = {"View": VIEW, "Material": MATERIAL, "Texture": TEXTURE, "Light": LIGHT, "Planes": PLANES}
+STRUCTS = {"View": VIEW, "Camera": CAMERA, "Material": MATERIAL, "Texture": TEXTURE, "Light": LIGHT, "Planes": PLANES}
 
 CONSTANTS: dict[str, int | float] = {
     name: value

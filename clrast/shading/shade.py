@@ -94,7 +94,7 @@ class Shader:
         )
         self.launches += 1
 
-    def close_pixels(self, front_nearness: Any, pixel_count: int) -> None:
+    def close_pixels(self, front_nearness: Any, front_prims: Any, pixel_count: int) -> None:
         """Enqueue: where the last layer is opaque or empty, nothing behind it will be found."""
         self._program.launch(
             "close_pixels",
@@ -103,6 +103,7 @@ class Shader:
             pixel_count=pixel_count,
             open_pixels=self.open_pixels,
             front_nearness=front_nearness,
+            front_prims=front_prims,
         )
         self.launches += 1
 

@@ -20,6 +20,7 @@ from clrast.visibility.bvh import Bvh
 from clrast.visibility.geometry import Geometry
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import Method
+from clrast.visibility.settle import ContenderList
 from clrast.visibility.screen_bounds import ScreenBounds, round_up
 from clrast.visibility.work import WorkCounters
 
@@ -56,6 +57,7 @@ class FrustumTraversal:
     """Buffers and launches of one view of one scene; stages in order: setup, then rasterize per band.
 
     surfaces : buffers by the argument names of traverse_frusta, read where features.alpha_mask is on.
+    contenders : the list of what float32 leaves open, where features.filtered is on.
     band_rows : most rows of root frusta that a band will have. Every method only enqueues, except where it says so.
     """
 
@@ -69,9 +71,11 @@ class FrustumTraversal:
         surfaces: Mapping[str, Any],
         band_rows: int,
         work: WorkCounters | None = None,
+        contenders: ContenderList | None = None,
     ) -> None:
         self.device, self.features, self.method = device, features, method
         self.view, self.geometry, self.work = view.copy(), geometry, work
+        self.contenders = contenders
         self.surfaces = {**surfaces, "indices": geometry.corner_vertices} if features.alpha_mask else {}
         self.launches = 0
         self.bounds = ScreenBounds(device, features, geometry)
@@ -79,7 +83,8 @@ class FrustumTraversal:
         self._limit = loop_limit(device)
         pixel_count = min(band_rows << features.tile_log2, int(view["height"])) * int(view["width"])
         self.visible_prims = buffers.create(device, 4 * pixel_count)
-        self.nearness = buffers.create(device, 4 * pixel_count) if features.keep_nearness else None
+        planes = 2 if features.filtered else 1
+        self.nearness = buffers.create(device, 4 * planes * pixel_count) if features.keep_nearness else None
         self._nodes: dict[str, cl.Buffer] = {}
         self._make_nodes()
         self._frustum_count = band_rows * int(view["tile_columns"])
@@ -108,7 +113,7 @@ class FrustumTraversal:
 
     def setup(self) -> None:
         """Find every triangle's canonical bound, and those of the nodes."""
-        self.bounds.find(self.view, self.work)
+        self.bounds.find(self.view, self.work, self.contenders)
         self.launches += 1
         if not self.method.needs_bvh:
             return
@@ -138,8 +143,15 @@ class FrustumTraversal:
     def rasterize(self, layer: int = 0, front: tuple[cl.Buffer, cl.Buffer] | None = None) -> None:
         """Decide every sample of the band: `visible_prims` (and `nearness`, where kept).
 
-        front : nearness and prim_ids of the layer in front, where `layer` > 0. Waits on drivers that limit loops.
+        front : nearness and prim_ids of the layer in front, where `layer` > 0. Waits where contenders are settled,
+        and on drivers that limit loops.
         """
+        if self.contenders is None:
+            self._decide_samples(layer, front)
+        else:
+            self.contenders.decide(self.view, self._decide_samples, self.visible_prims, self.nearness, layer, front)
+
+    def _decide_samples(self, layer: int, front: tuple[cl.Buffer, cl.Buffer] | None) -> None:
         frustum_count = int(self.view["band_rows"]) * int(self.view["tile_columns"])
         arguments: dict[str, Any] = {
             "view": self.view,
@@ -155,6 +167,8 @@ class FrustumTraversal:
             **self.surfaces,
             **self._resume,
         }
+        if self.contenders is not None:
+            arguments |= self.contenders.sample_arguments()
         if self.work is not None:
             arguments |= self.work.of_samples(self.view, self.features.tile_log2, frustum_count)
         if self.features.keep_nearness:

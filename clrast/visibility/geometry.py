@@ -24,6 +24,7 @@ class Geometry:
 
     positions : [vertex_count] float4, world space times the view's world_scale, for shading
     indices : [3 * triangle_count] uint, for shading
+    world_positions : [vertex_count] float4, world space, as given: what is exact starts from; or None
     corners : [3 * triangle_count] float4, as prepare_triangles.cl writes them, for everything else
         (with a BVH in the order of its leaves: by slot)
     corner_vertices : [3 * triangle_count] uint, the vertices that the corners are, where masks look attributes up
@@ -36,6 +37,7 @@ class Geometry:
     triangle_count: int
     vertex_count: int
     corner_vertices: cl.Buffer | None = None
+    world_positions: cl.Buffer | None = None
     bvh: Bvh | None = None
     prims: cl.Buffer | None = None
 
@@ -44,7 +46,8 @@ class Geometry:
         """Bytes on the device."""
         masked_bytes = 0 if self.corner_vertices is None else 12
         slot_bytes = 0 if self.prims is None else 4
-        return 16 * self.vertex_count + (12 + 48 + masked_bytes + slot_bytes) * self.triangle_count
+        unscaled_bytes = 0 if self.world_positions in (None, self.positions) else 16
+        return (16 + unscaled_bytes) * self.vertex_count + (12 + 48 + masked_bytes + slot_bytes) * self.triangle_count
 
 
 def build_geometry(
@@ -62,9 +65,11 @@ def build_geometry(
     """
     scaled = np.zeros((len(positions), 4), dtype=np.float32)
     scaled[:, :3] = positions
-    if world_scale != 1.0:
+    world_positions = buffers.upload(device, scaled) if features.filtered else None
+    buffer = world_positions
+    if buffer is None or world_scale != 1.0:
         scaled *= np.float32(world_scale)
-    buffer = buffers.upload(device, scaled)
+        buffer = buffers.upload(device, scaled)
     indices = buffers.upload(device, np.ascontiguousarray(triangles, dtype=np.uint32))
     corners = buffers.create(device, 48 * len(triangles))
     masks = {"corner_vertices": buffers.create(device, 12 * len(triangles))} if features.alpha_mask else {}
@@ -81,4 +86,6 @@ def build_geometry(
         **order,
     )
     device.queue.finish()
-    return Geometry(buffer, indices, corners, len(triangles), len(positions), **masks, bvh=bvh, **order)
+    return Geometry(
+        buffer, indices, corners, len(triangles), len(positions), world_positions=world_positions, bvh=bvh, **masks, **order
+    )

@@ -52,11 +52,13 @@ class Method:
         return not self.tiles and not self.needs_bvh
 
     def configure(self, features: Features) -> Features:
-        """The features with what this method decides."""
+        """The features with what this method decides; rungs that settle every sample have one answer, and one form of
+        the edges: theirs are 3D whatever the method."""
         chosen: dict[str, Any] = {}
         for name, choice in self.oracles.items():
             chosen[name] = ORACLES[name].settings[choice.setting][0]
-        return replace(features, edges=self.edges, evaluation=EVALUATIONS[self.evaluation], **chosen)
+        edges = Edges.SPATIAL if features.filtered else self.edges
+        return replace(features, edges=edges, evaluation=EVALUATIONS[self.evaluation], **chosen)
 
     @property
     def small_ratio(self) -> int:

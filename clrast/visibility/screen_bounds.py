@@ -16,6 +16,7 @@ from clrast.visibility.loop_limits import SETUP_ITERATIONS, loop_limit
 if TYPE_CHECKING:
     import pyopencl as cl
 
+    from clrast.visibility.settle import ContenderList
     from clrast.visibility.work import WorkCounters
 
 BOUND_BYTES = 8
@@ -51,9 +52,12 @@ class ScreenBounds:
         self.chunk_size = chunk_size
         self.chunk_count = max(1, -(-self.padded_count // chunk_size))
 
-    def find(self, view: np.ndarray, work: WorkCounters | None) -> None:
-        """Enqueue the setup of every triangle's bound (and nearness)."""
+    def find(self, view: np.ndarray, work: WorkCounters | None, contenders: ContenderList | None) -> None:
+        """Enqueue the setup of every triangle's bound (and nearness, and facing)."""
         more: dict[str, Any] = {} if self.nearest is None else {"nearest": self.nearest}
+        if contenders is not None:
+            contenders.start_view()
+            more |= contenders.setup_arguments()
         if work is not None:
             more["work"] = work.rows(self.chunk_count)
         self._program.launch(
@@ -68,6 +72,8 @@ class ScreenBounds:
             bounds_high=self.high,
             **more,
         )
+        if contenders is not None:
+            contenders.settle_facing(view, self.low, self.high)
 
     def areas(self) -> np.ndarray:
         """Samples in each bound: (triangle_count,) int64, by slot. Waits."""

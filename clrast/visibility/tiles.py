@@ -17,6 +17,7 @@ from clrast.opencl.device import Device
 from clrast.opencl.features import Features
 from clrast.visibility.geometry import Geometry
 from clrast.visibility.loop_limits import chunk_size_within, loop_limit, reference_span_within
+from clrast.visibility.settle import ContenderList
 from clrast.visibility.screen_bounds import ScreenBounds, round_up
 from clrast.visibility.work import WorkCounters
 
@@ -32,6 +33,7 @@ class TileRasterizer:
     """Buffers and launches of one view of one scene; stages in order: setup, then bin and rasterize per band.
 
     surfaces : buffers by the argument names of rasterize_tiles, read where features.alpha_mask is on.
+    contenders : the list of what float32 leaves open, where features.filtered is on.
     band_rows : most tile rows that a band will have. Every method only enqueues, except where it says so.
     """
 
@@ -44,9 +46,11 @@ class TileRasterizer:
         surfaces: Mapping[str, Any],
         band_rows: int,
         work: WorkCounters | None = None,
+        contenders: ContenderList | None = None,
     ) -> None:
         self.device = device
         self.work = work
+        self.contenders = contenders
         self.features = features
         self.view = view.copy()
         self.geometry = geometry
@@ -69,7 +73,8 @@ class TileRasterizer:
         self._reference_prims: cl.Buffer | None = None
         self._reference_bounds: cl.Buffer | None = None
         self.visible_prims = buffers.create(device, 4 * pixel_count)
-        self.nearness = buffers.create(device, 4 * pixel_count) if features.keep_nearness else None
+        planes = 2 if features.filtered else 1
+        self.nearness = buffers.create(device, 4 * planes * pixel_count) if features.keep_nearness else None
 
     def _launch(self, program: str, kernel: str, items: int, **arguments: Any) -> None:
         self._programs[program].launch(kernel, items, 1, **arguments)
@@ -77,7 +82,7 @@ class TileRasterizer:
 
     def setup(self) -> None:
         """Find every triangle's canonical conservative screen bound."""
-        self.bounds.find(self.view, self.work)
+        self.bounds.find(self.view, self.work, self.contenders)
         self.launches += 1
         if self._limit is not None:
             self._fit_chunks()
@@ -176,15 +181,25 @@ class TileRasterizer:
         bounds = buffers.download(self.device, self._reference_bounds, np.uint32, self.reference_count)
         self._longest_list = int(np.diff(begin.astype(np.int64)).max(initial=0))
         self._reference_span = reference_span_within(
-            self._limit, begin, bounds, 1 << self.features.tile_log2, self.features.vector_width
+            self._limit // (2 if self.features.filtered else 1),  # blocks may be gone through again
+            begin,
+            bounds,
+            1 << self.features.tile_log2,
+            self.features.vector_width,
         )
 
     def rasterize(self, layer: int = 0, front: tuple[cl.Buffer, cl.Buffer] | None = None) -> None:
         """Decide every sample of the band: `visible_prims` (and `nearness`, where kept).
 
         front : nearness and prim_ids of the layer in front, where `layer` > 0: only what lies behind
-        it is found. Needs features.keep_nearness.
+        it is found. Needs features.keep_nearness. Waits where contenders are settled.
         """
+        if self.contenders is None:
+            self._decide_samples(layer, front)
+        else:
+            self.contenders.decide(self.view, self._decide_samples, self.visible_prims, self.nearness, layer, front)
+
+    def _decide_samples(self, layer: int, front: tuple[cl.Buffer, cl.Buffer] | None) -> None:
         tile_count = int(self.view["band_rows"]) * int(self.view["tile_columns"])
         common = {
             "view": self.view,
@@ -197,6 +212,8 @@ class TileRasterizer:
             "visible_prims": self.visible_prims,
             **self.surfaces,
         }
+        if self.contenders is not None:
+            common |= self.contenders.sample_arguments()
         if self.work is not None:
             common |= self.work.of_samples(self.view, self.features.tile_log2, tile_count)
         if not self.features.keep_nearness:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from clrast.opencl.layout import VIEW
+from clrast.opencl.layout import CAMERA, VIEW
 from clrast.scene.camera import CameraVectors
 
 Vector = tuple[float, float, float]
@@ -53,6 +53,38 @@ def world_scale(camera: CameraVectors, low: np.ndarray, high: np.ndarray) -> flo
     return 2.0 ** max(-126, min(126, -exponent))
 
 
+def build_camera(camera: CameraVectors) -> np.ndarray:
+    """The `Camera` struct (one element): the vectors as they are defined."""
+    vectors = np.zeros((), dtype=CAMERA)
+    is_parallel = camera.projection == "orthographic"
+    vectors["origin"][:3] = camera.first if is_parallel else camera.origin
+    vectors["direction"][:3] = camera.direction if is_parallel else camera.first
+    vectors["step_x"][:3], vectors["step_y"][:3] = camera.tangent_x, camera.tangent_y
+    return vectors
+
+
+def _spread(view: np.ndarray, center: Vector, tangent_x: Vector, tangent_y: Vector) -> list[float]:
+    """The largest size of each component of center + X tangent_x + Y tangent_y over the image."""
+    half_width, half_height = float(view["center_x"]), float(view["center_y"])
+    return [
+        abs(c) + half_width * abs(x) + half_height * abs(y)
+        for c, x, y in zip(center, tangent_x, tangent_y, strict=True)
+    ]
+
+
+def _find_reaches(view: np.ndarray, camera: CameraVectors, center: Vector, tangents: tuple[Vector, Vector]) -> None:
+    """Set `direction_reach` and `origin_reach`; `center` is scaled where rays are parallel, as `tangents` are."""
+    upwards = 1 + 2.0**-20
+    if camera.projection == "orthographic":
+        view["direction_reach"] = upwards * max(map(abs, camera.direction))
+        # What two floats lose of the centre, in units of what error bounds are multiplied with.
+        lost = 2.0**-24 * sum(map(abs, center))
+        view["origin_reach"] = upwards * (sum(_spread(view, (0.0, 0.0, 0.0), *tangents)) + lost)
+        view["origin_reach"] += float(np.abs(view["origin_low"]).sum())
+    else:
+        view["direction_reach"] = upwards * max(_spread(view, center, *tangents))
+
+
 def build_view(camera: CameraVectors, low: np.ndarray, high: np.ndarray, tile_log2: int) -> np.ndarray:
     """The `View` struct (one element) for a camera and a scene whose bounding box is low .. high.
 
@@ -86,6 +118,8 @@ def build_view(camera: CameraVectors, low: np.ndarray, high: np.ndarray, tile_lo
     view["tangent_y"] = _split(tangent_y)[0]
     view["center_x"], view["center_y"] = camera.width / 2, camera.height / 2
     view["world_scale"] = scale
+    reach_center = _times(center, scale) if camera.projection == "orthographic" else center
+    _find_reaches(view, camera, reach_center, (tangent_x, tangent_y))
     view["width"], view["height"] = camera.width, camera.height
     tile = 1 << tile_log2
     view["tile_columns"] = (camera.width + tile - 1) // tile

@@ -1,0 +1,289 @@
+// Settles what float32 left open: which triangles face the viewer, and which contenders take their samples.
+//
+// The last two rungs of the precision ladder (DESIGN section 1). A contender is a pair (pixel, triangle) that the
+// filter could not decide (filtered_samples.clh). For each:
+//   does the triangle cover the sample? float64 with its bound, else integers; `double`: float64 as it is
+//   is it nearer than what is visible there? the same ladder; where both are as near, the smaller id
+//   if so it takes the sample, by compare and exchange: whatever the order, the nearest stays
+// Good at: few contenders (a fraction of a per cent of the samples). Bad at: many coincident surfaces.
+// Tests: tests/test_exact.py.
+
+#include "vector.clh"
+#include "counters.clh"
+#include "edge_function.clh"
+#if ALPHA_MASK
+#include "surface.clh"
+#endif
+#include "float64_tests.clh"
+#if PRECISION == PRECISION_EXACT
+#include "exact_tests.clh"
+#endif
+
+// Which rung answered, for the counts of CONTENDER_*.
+typedef struct { bool by_float64, by_integers; } Rungs;
+
+// The sign of N . (p_0 - e), orthographic of N . d.
+static int facing_sign(Corners t, Camera camera, Rungs *rungs) {
+#if FLOAT64
+  const Place anywhere = {0, 0};
+  const int sign = sign64(volume64(t, ray64(camera, anywhere)));
+  rungs->by_float64 = true;
+  if (sign != UNKNOWN) return sign;
+#endif
+#if PRECISION == PRECISION_EXACT
+  rungs->by_integers = true;
+  return facing_exact(t, camera);
+#else
+  return 0;
+#endif
+}
+
+// The side of edge i that a sample lies on; UNKNOWN where float64 cannot tell.
+static int edge_side64(Corners t, uint i, Camera camera, Place at) {
+#if FLOAT64
+  const float4 a = t.p[(i + 2) % 3], b = t.p[(i + 1) % 3];
+  const Ray64 ray = ray64(camera, at);
+  int side = sign64(edge64(a, b, ray));
+#if PRECISION == PRECISION_DOUBLE
+  if (side == 0) side = step_sign64(a, b, camera.step_x, ray);
+  if (side == 0) side = step_sign64(a, b, camera.step_y, ray);
+#endif
+  return side;
+#else
+  return UNKNOWN;
+#endif
+}
+
+#if PROJECTION == PROJECTION_ORTHOGRAPHIC
+// The sign of t, where the triangle is not seen edge-on.
+static int distance_sign(Corners t, int facing, Camera camera, Place at, Rungs *rungs) {
+#if FLOAT64
+  const int sign = sign64(quotient64(t, ray64(camera, at)).numerator);
+  if (sign != UNKNOWN) return sign * facing;
+#endif
+#if PRECISION == PRECISION_EXACT
+  rungs->by_integers = true;
+  return distance_sign_exact(t, camera, at);
+#else
+  return 0;
+#endif
+}
+#endif
+
+// Whether a triangle covers a sample (DESIGN section 1, 'Covered').
+static bool covers(Corners t, Camera camera, Place at, Rungs *rungs) {
+  const int facing = facing_sign(t, camera, rungs);
+  if (facing == 0) return false;
+  int side[3];
+  for (uint i = 0; i < 3; ++i) {
+    side[i] = edge_side64(t, i, camera, at);
+    if (side[i] != UNKNOWN && side[i] != -facing) return false;
+  }
+#if PRECISION == PRECISION_EXACT
+  const Units units = find_units(camera, &t, 1);
+  for (uint i = 0; i < 3; ++i) {
+    if (side[i] != UNKNOWN) continue;
+    rungs->by_integers = true;
+    if (edge_side_exact(t.p[(i + 2) % 3], t.p[(i + 1) % 3], camera, at, units) != -facing) return false;
+  }
+#endif
+#if PROJECTION == PROJECTION_ORTHOGRAPHIC
+  return distance_sign(t, facing, camera, at, rungs) > 0;
+#else
+  return true;  // t > 0: V and the sum of the V_i have one sign
+#endif
+}
+
+static bool same_point(float4 a, float4 b) { return a.x == b.x && a.y == b.y && a.z == b.z; }
+
+// Whether two triangles surely lie in one plane: the same corners, or one coordinate that all six share.
+static bool one_plane(Corners a, Corners b) {
+  const bool same = same_point(a.p[0], b.p[0]) && ((same_point(a.p[1], b.p[1]) && same_point(a.p[2], b.p[2])) ||
+                                                   (same_point(a.p[1], b.p[2]) && same_point(a.p[2], b.p[1])));
+  bool x = true, y = true, z = true;
+  for (uint i = 0; i < 3; ++i) {
+    x &= a.p[i].x == a.p[0].x && b.p[i].x == a.p[0].x;
+    y &= a.p[i].y == a.p[0].y && b.p[i].y == a.p[0].y;
+    z &= a.p[i].z == a.p[0].z && b.p[i].z == a.p[0].z;
+  }
+  return same || x || y || z;
+}
+
+// Whether triangle `prim_id`, which covers the sample, goes before `other`, which does too: nearer, or as near
+// with the smaller id.
+static bool goes_before(Corners t, uint prim_id, Corners u, uint other, Camera camera, Place at, Rungs *rungs) {
+  if (one_plane(t, u)) return prim_id < other;
+#if FLOAT64
+  int order = compare64(t, u, ray64(camera, at));
+  rungs->by_float64 = true;
+#else
+  int order = UNKNOWN;
+#endif
+#if PRECISION == PRECISION_EXACT
+  if (order == UNKNOWN) {
+    rungs->by_integers = true;
+    order = compare_exact(t, u, camera, at);
+  }
+#endif
+  return order != 0 ? order < 0 : prim_id < other;
+}
+
+// What the contenders of one launch share.
+typedef struct {
+  View view;
+  Camera camera;
+  global const float4 *positions;  // [vertex_count] world space, as given
+  global const uint *indices;      // [3 * triangle_count]
+#if KEEP_NEARNESS
+  uint layer;
+  global const uint *front_prims;  // [band pixels]
+  global float *nearness;          // [2 * band pixels]
+#endif
+#if ALPHA_MASK
+  Surfaces surfaces;
+  global const float4 *scaled_positions;  // [vertex_count] world space times world_scale
+#endif
+} Ground;
+
+#if ALPHA_MASK
+// Whether a surface of alpha mode MASK is opaque enough at the sample; weighed as in the other rungs.
+static bool mask_lets_pass(const Ground *g, uint prim_id, Place at) {
+  const Material material = g->surfaces.materials[g->surfaces.material_ids[prim_id]];
+  if (!(material.flags & MATERIAL_MASK)) return true;
+  float4 p[3];
+  for (uint i = 0; i < 3; ++i) p[i] = g->scaled_positions[g->indices[3 * (size_t)prim_id + i]];
+  const Vec3 a = {p[0].x, p[0].y, p[0].z}, b = {p[1].x, p[1].y, p[1].z}, c = {p[2].x, p[2].y, p[2].z};
+  const uint turn = is_first(b, c, a) ? 1 : (is_first(c, a, b) ? 2 : 0);
+  const TriangleSetup setup = setup_triangles_3d(canonical_triangles(a, b, c), g->view);
+  const float x = (float)at.x * (1.0f / 256.0f) - g->view.center_x, y = (float)at.y * (1.0f / 256.0f) - g->view.center_y;
+  SurfacePoint point;
+  point.prim_id = prim_id;
+  point.i0 = g->indices[3 * (size_t)prim_id + turn];
+  point.i1 = g->indices[3 * (size_t)prim_id + (turn + 1) % 3];
+  point.i2 = g->indices[3 * (size_t)prim_id + (turn + 2) % 3];
+  weigh_vertices(&point, edge_value(setup.edge[0].c, setup.edge[0].gx, setup.edge[0].gy, x, y),
+                 edge_value(setup.edge[1].c, setup.edge[1].gx, setup.edge[1].gy, x, y),
+                 edge_value(setup.edge[2].c, setup.edge[2].gx, setup.edge[2].gy, x, y));
+  return !(base_color(g->surfaces, material, point).w < material.alpha_cutoff);
+}
+#endif
+
+// Lets one contender take its sample, if it must.
+static void settle_contender(const Ground *g, uint pixel, uint prim_id, volatile global uint *visible_prims, Rungs *rungs) {
+  const uint column = pixel % g->view.width, row = pixel / g->view.width + (g->view.band_row << TILE_LOG2);
+  const Place at = {(int)(256 * column + 128), (int)(256 * row + 128)};
+  const Corners t = load_corners(g->positions, g->indices, prim_id);
+  if (!covers(t, g->camera, at, rungs)) return;
+#if KEEP_NEARNESS
+  if (g->layer > 0) {
+    const uint front = g->front_prims[pixel];
+    if (front == NO_HIT || front == prim_id) return;
+    const Corners u = load_corners(g->positions, g->indices, front);
+    if (!goes_before(u, front, t, prim_id, g->camera, at, rungs)) return;
+  }
+#endif
+#if ALPHA_MASK
+  if (!mask_lets_pass(g, prim_id, at)) return;
+#endif
+  uint other = visible_prims[pixel];
+  while (other != prim_id) {
+    if (other != NO_HIT) {
+      const Corners u = load_corners(g->positions, g->indices, other);
+      if (!goes_before(t, prim_id, u, other, g->camera, at, rungs)) return;
+    }
+    const uint found = atomic_cmpxchg(visible_prims + pixel, other, prim_id);
+    if (found == other) break;
+    other = found;
+  }
+#if KEEP_NEARNESS
+  // What lies behind this layer is compared with the triangle itself.
+  g->nearness[pixel] = -INFINITY;
+  g->nearness[band_pixels(g->view) + pixel] = INFINITY;
+#endif
+}
+
+// Reads: unsure_slots, contender_state (setup_triangles). Writes: facing_signs (for rasterize_tiles,
+// traverse_frusta); bounds_high: 0 where a triangle is seen edge-on. Work item: some slots. Local memory: 0 bytes.
+kernel void settle_facing(
+    View view,
+    Camera camera,
+    global const float4 *restrict positions,  // [vertex_count] world space, as given
+    global const uint *restrict indices,      // [3 * triangle_count]
+#if LEAF_ORDER
+    global const uint *restrict prims,        // [triangle_count] prim_id of each slot
+#endif
+    global const uint *restrict contender_state, // [CONTENDER_WORDS]
+    global const uint *restrict unsure_slots, // [triangle_count]
+    global char *restrict facing_signs,       // [padded triangle_count] by slot
+    global uint *restrict bounds_low,         // [padded triangle_count]
+    global uint *restrict bounds_high)        // [padded triangle_count]
+{
+  const uint count = contender_state[CONTENDER_FACINGS];
+  for (uint k = get_global_id(0); k < count; k += get_global_size(0)) {
+    const uint slot = unsure_slots[k];
+#if LEAF_ORDER
+    const uint prim_id = prims[slot];
+#else
+    const uint prim_id = slot;
+#endif
+    Rungs rungs = {false, false};
+    const int sign = facing_sign(load_corners(positions, indices, prim_id), camera, &rungs);
+    facing_signs[slot] = (char)sign;
+    if (sign == 0) bounds_low[slot] = bounds_high[slot] = 0;
+  }
+}
+
+// Reads: contenders (rasterize_tiles, traverse_frusta). Writes: visible_prims (for shade_hits).
+// Work item: some contenders. Local memory: 0 bytes.
+kernel void settle_contenders(
+    View view,
+    Camera camera,
+    uint contender_capacity,                  // entries of the list
+    global const float4 *restrict positions,  // [vertex_count] world space, as given
+    global const uint *restrict indices,      // [3 * triangle_count]
+#if KEEP_NEARNESS
+    uint layer,                               // 0, or more: front_prims says what lies in front
+    global const uint *restrict front_prims,  // [band height * width] prim_id or NO_HIT
+    global float *restrict nearness,          // [2 * band height * width]
+#endif
+#if ALPHA_MASK
+    global const float4 *restrict scaled_positions, // [vertex_count] world space times world_scale
+    global const uint *restrict material_ids,    // [triangle_count]
+    global const Material *restrict materials,   // [material_count]
+    global const Texture *restrict textures,     // [texture_count]
+    global const uchar4 *restrict texels,        // of all textures
+    global const float *restrict srgb_to_linear, // [256]
+    global const float2 *restrict uv,            // [vertex_count]
+    global const float2 *restrict uv1,           // [vertex_count]
+    global const float4 *restrict colors,        // [vertex_count] linear
+#endif
+    global const uint2 *restrict contenders,  // [contender_capacity] pixel of the band, prim_id
+    global uint *restrict contender_state,    // [CONTENDER_WORDS] counts what each rung settled
+    volatile global uint *visible_prims)      // [band height * width] prim_id or NO_HIT
+{
+  const uint count = min(contender_state[CONTENDER_COUNT], contender_capacity);
+  Ground g;
+  g.view = view;
+  g.camera = camera;
+  g.positions = positions;
+  g.indices = indices;
+#if KEEP_NEARNESS
+  g.layer = layer;
+  g.front_prims = front_prims;
+  g.nearness = nearness;
+#endif
+#if ALPHA_MASK
+  const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
+  g.surfaces = surfaces;
+  g.scaled_positions = scaled_positions;
+#endif
+  uint by_float64 = 0, by_integers = 0;
+  for (uint k = get_global_id(0); k < count; k += get_global_size(0)) {
+    Rungs rungs = {false, false};
+    settle_contender(&g, contenders[k].x, contenders[k].y, visible_prims, &rungs);
+    by_float64 += rungs.by_float64 && !rungs.by_integers;
+    by_integers += rungs.by_integers;
+  }
+  if (by_float64) atomic_add(contender_state + CONTENDER_FLOAT64, by_float64);
+  if (by_integers) atomic_add(contender_state + CONTENDER_EXACT, by_integers);
+}
