@@ -54,11 +54,14 @@ INLINE void load_references(
 #endif
   const int_v bounds = AS_INT_V(LOAD_V(reference_bounds + first));
 #if FILTERED
-  const TriangleSetup setup = setup_triangles_settled(triangles, view, batch->prim_id, facing_signs);
+  ErrorBounds errors;
+  const TriangleSetup setup = setup_triangles_settled(triangles, view, batch->prim_id, facing_signs, &errors);
+#pragma unroll
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) batch->slot[lane] = batch->prim_id[lane];
+  fill_batch(batch, setup, errors, frame,
 #else
-  const TriangleSetup setup = setup_triangles_at(triangles, view);
+  fill_batch(batch, setup_triangles_at(triangles, view), frame,
 #endif
-  fill_batch(batch, setup, frame,
              bounds & 0xff, bounds >> 8 & 0xff, bounds >> 16 & 0xff, bounds >> 24 & 0xff, LANES < (int)(end - first),
              lowest);
 }
@@ -94,6 +97,8 @@ kernel void rasterize_tiles(
     global uint *restrict contender_state,    // [CONTENDER_WORDS] first word: contenders found
     global uint2 *restrict contenders,        // [contender_capacity] pixel of the band, prim_id
     global const char *restrict facing_signs, // [padded triangle_count] signs that float32 cannot tell, by slot
+    global const float4 *restrict positions,  // [vertex_count] world space, as given
+    global const uint *restrict prim_vertices, // [3 * triangle_count] vertices
 #endif
     global const float4 *restrict corners,    // [3 * triangle_count] canonical corners and normals
     global const uint *restrict tile_begin,   // [tile_count + 1] first reference of each tile
@@ -126,6 +131,9 @@ kernel void rasterize_tiles(
   frame.contender_capacity = contender_capacity;
   frame.contender_state = contender_state;
   frame.contenders = contenders;
+  frame.corners = corners;
+  frame.positions = positions;
+  frame.indices = prim_vertices;
 #endif
   TileSamples samples;
   uint begin = tile_begin[tile], end = min(tile_begin[tile + 1], reference_capacity);

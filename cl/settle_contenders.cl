@@ -38,22 +38,6 @@ static int facing_sign(Corners t, Camera camera, Rungs *rungs) {
 #endif
 }
 
-// The side of edge i that a sample lies on; UNKNOWN where float64 cannot tell.
-static int edge_side64(Corners t, uint i, Camera camera, Place at) {
-#if FLOAT64
-  const float4 a = t.p[(i + 2) % 3], b = t.p[(i + 1) % 3];
-  const Ray64 ray = ray64(camera, at);
-  int side = sign64(edge64(a, b, ray));
-#if PRECISION == PRECISION_DOUBLE
-  if (side == 0) side = step_sign64(a, b, camera.step_x, ray);
-  if (side == 0) side = step_sign64(a, b, camera.step_y, ray);
-#endif
-  return side;
-#else
-  return UNKNOWN;
-#endif
-}
-
 #if PROJECTION == PROJECTION_ORTHOGRAPHIC
 // The sign of t, where the triangle is not seen edge-on.
 static int distance_sign(Corners t, int facing, Camera camera, Place at, Rungs *rungs) {
@@ -74,11 +58,14 @@ static int distance_sign(Corners t, int facing, Camera camera, Place at, Rungs *
 static bool covers(Corners t, Camera camera, Place at, Rungs *rungs) {
   const int facing = facing_sign(t, camera, rungs);
   if (facing == 0) return false;
-  int side[3];
+  int side[3] = {UNKNOWN, UNKNOWN, UNKNOWN};
+#if FLOAT64
+  const Ray64 ray = ray64(camera, at);
   for (uint i = 0; i < 3; ++i) {
-    side[i] = edge_side64(t, i, camera, at);
+    side[i] = edge_side64(t, i, camera, ray);
     if (side[i] != UNKNOWN && side[i] != -facing) return false;
   }
+#endif
 #if PRECISION == PRECISION_EXACT
   const Units units = find_units(camera, &t, 1);
   for (uint i = 0; i < 3; ++i) {

@@ -155,12 +155,7 @@ INLINE float_v nearest_in_bound(TriangleSetup setup, View view, uint_v low, uint
   const float_v y0 = TO_FLOAT_V(AS_INT_V(low >> 16)) + (0.5f - view.center_y);
   const float_v x1 = TO_FLOAT_V(AS_INT_V(high & 0xffffu)) - (0.5f + view.center_x);
   const float_v y1 = TO_FLOAT_V(AS_INT_V(high >> 16)) - (0.5f + view.center_y);
-  float_v nearest = block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, x0, y0, x1, y1);
-#if FILTERED
-  float span[VECTOR_WIDTH];
-  nearest = widen_nearness(&setup, nearest, view.center_x, view.center_y, span);
-#endif
-  return nearest;
+  return block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, x0, y0, x1, y1);
 }
 #endif
 
@@ -232,7 +227,9 @@ kernel void setup_triangles(
       STORE_V(low, lane_low);
       STORE_V(high, lane_high);
 #if FILTERED
-      const TriangleSetup edges = setup_triangles_at(triangles, view);
+      ErrorBounds errors;
+      TriangleSetup edges = setup_triangles_open(triangles, view, &errors);
+      for (uint i = 0; i < 3; ++i) edges.edge[i].c += min(errors.edge, (float_v)(BOUND_CEILING));
 #else
       const TriangleSetup edges = setup_triangles_3d(triangles, view);
 #endif
@@ -245,13 +242,19 @@ kernel void setup_triangles(
     }
 #endif
 #if FILTERED
-    const Facing facing = facing_of(volume_of(triangles, view), view);
-    if (LANE_MASK(facing.unsure) != 0)
-      list_unsure_facings(facing.unsure, LOAD_V(bounds_high + k), k, triangle_count, contender_state, unsure_slots);
+    const ErrorBounds errors = bound_errors(triangles, volume_of(triangles, view), view);
+    if (LANE_MASK(errors.facing_unsure) != 0)
+      list_unsure_facings(errors.facing_unsure, LOAD_V(bounds_high + k), k, triangle_count, contender_state, unsure_slots);
 #endif
 #if NODE_BOUNDS
     const TriangleSetup setup = setup_triangles_at(triangles, view);
-    STORE_V(nearest_in_bound(setup, view, LOAD_V(bounds_low + k), LOAD_V(bounds_high + k)), nearest + k);
+    float_v most = nearest_in_bound(setup, view, LOAD_V(bounds_low + k), LOAD_V(bounds_high + k));
+#if FILTERED
+    NearnessPlane plane = setup.nearness;
+    float span[VECTOR_WIDTH];
+    most = widen_nearness(&plane, errors, most, view.center_x, view.center_y, span);
+#endif
+    STORE_V(most, nearest + k);
 #endif
   }
 }

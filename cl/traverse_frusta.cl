@@ -186,6 +186,8 @@ kernel void traverse_frusta(
     global uint *restrict contender_state,       // [CONTENDER_WORDS] first word: contenders found
     global uint2 *restrict contenders,           // [contender_capacity] pixel of the band, prim_id
     global const char *restrict facing_signs,    // [padded triangle_count] signs that float32 cannot tell, by slot
+    global const float4 *restrict positions,     // [vertex_count] world space, as given
+    global const uint *restrict prim_vertices,    // [3 * triangle_count] vertices
 #endif
     global const float4 *restrict corners,       // [3 * triangle_count] canonical corners and normals, by slot
     global const uint *restrict prims,           // [triangle_count] prim_id of each slot
@@ -214,6 +216,9 @@ kernel void traverse_frusta(
   s.frame.contender_capacity = contender_capacity;
   s.frame.contender_state = contender_state;
   s.frame.contenders = contenders;
+  s.frame.corners = corners;
+  s.frame.positions = positions;
+  s.frame.indices = prim_vertices;
   s.facing_signs = facing_signs;
 #endif
 #if ALPHA_MASK

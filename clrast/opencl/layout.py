@@ -24,6 +24,8 @@ VIEW = np.dtype(
         ("inverse_y", "<f4", 4),
         ("inverse_w", "<f4", 4),  # dot with (p - origin): depth along the view axis
         ("first", "<f4", 4),  # as defined: d0 (perspective) or e0 (orthographic), of sample (0, 0)
+        ("direction_reach", "<f4", 4),  # largest size of d's components at any sample of the image, rounded up
+        ("origin_reach", "<f4", 4),  # orthographic: the same of a ray's origin relative to `origin`
         ("center_x", "<f4"),  # width / 2, exact; X = x - center_x
         ("center_y", "<f4"),
         ("focal", "<f4"),  # pixels: scale of the screen's rounding errors (see cl/setup_triangles.cl)
@@ -34,8 +36,8 @@ VIEW = np.dtype(
         ("tile_rows", "<u4"),
         ("band_row", "<u4"),  # first tile row of this band
         ("band_rows", "<u4"),  # tile rows in this band
-        ("direction_reach", "<f4"),  # largest component of d at any sample of the image, rounded up
-        ("origin_reach", "<f4"),  # orthographic: 1-norm of a ray's origin relative to `origin`, rounded up
+        ("unused0", "<u4"),
+        ("unused1", "<u4"),
     ]
 )
 """The camera and the image, as every kernel gets them."""

@@ -1,6 +1,6 @@
 """The last rungs of the precision ladder on the device: what the float32 filter left open is settled here.
 
-The kernels are cl/settle_contenders.cl; what is listed is said in cl/filtered_samples.clh. Nothing waits but `fits`.
+The kernels are cl/settle_contenders.cl; what is listed is said in cl/filtered_samples.clh. `decide` waits for the count.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from clrast.errors import CapacityError
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
-from clrast.opencl.layout import CAMERA, CONTENDER_COUNT, CONTENDER_EXACT, CONTENDER_FLOAT64, CONTENDER_WORDS
+from clrast.opencl.layout import CAMERA, CONTENDER_COUNT, CONTENDER_EXACT, CONTENDER_FACINGS, CONTENDER_FLOAT64, CONTENDER_WORDS
 from clrast.visibility.geometry import Geometry
 from clrast.visibility.loop_limits import loop_limit
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     import pyopencl as cl
 
 CONTENDER_BYTES = 8
+COUNTS = {"decided_float64": CONTENDER_FLOAT64, "contenders": CONTENDER_COUNT, "decided_exact": CONTENDER_EXACT}
+"""Name in the stats -> word: samples that float64 was asked about and knew, pairs that it left, those that took integers."""
+
 MIN_CONTENDERS = 1 << 14
 PIXELS_PER_CONTENDER = 8
 """Pixels for each of which a list has room for one contender at first; lists that are too short grow."""
@@ -72,12 +75,9 @@ class ContenderList:
         self.state = buffers.create(device, 4 * CONTENDER_WORDS)
         self.unsure_slots = buffers.create(device, 4 * geometry.triangle_count)
         self.facing_signs = buffers.create(device, slot_count)
-        self.counts = dict.fromkeys(("contenders", "settled_float64", "settled_exact"), 0)
+        self.counts = dict.fromkeys(COUNTS, 0)
         self.launches = 0
-        self._clear(CONTENDER_WORDS)
-
-    def _clear(self, words: int) -> None:
-        buffers.fill(self.device, self.state, np.uint32(0), 4 * words)
+        self._state = np.ones(CONTENDER_WORDS, dtype=np.uint32)  # unknown
 
     def setup_arguments(self) -> dict[str, Any]:
         """Of setup_triangles."""
@@ -90,16 +90,21 @@ class ContenderList:
             "contender_state": self.state,
             "contenders": self.contenders,
             "facing_signs": self.facing_signs,
+            "positions": self.geometry.world_positions,
+            "prim_vertices": self.geometry.indices,
         }
+
+    def _clear(self, word: int) -> None:
+        """Zero a word that is not known to be zero."""
+        if self._state[word]:
+            buffers.fill(self.device, self.state, np.uint32(0), 4, 4 * word)
+            self._state[word] = 0
 
     def start_view(self) -> None:
         """Before setup_triangles: nothing is listed."""
-        self._clear(CONTENDER_WORDS)
-        self.counts = dict.fromkeys(self.counts, 0)
-
-    def start_band(self) -> None:
-        """Before samples are decided."""
-        self._clear(CONTENDER_WORDS)
+        self._clear(CONTENDER_FACINGS)
+        self._state[CONTENDER_FACINGS] = 1  # unknown until it is read
+        self.counts = dict.fromkeys(COUNTS, 0)
 
     def _items(self, listed: int | None) -> int:
         """Work items for a list: one an entry where drivers limit loops, else few, which share it."""
@@ -109,11 +114,11 @@ class ContenderList:
         return WORKERS_PER_UNIT * max(1, self.device.compute_units)
 
     def _read(self) -> np.ndarray:
-        return buffers.download(self.device, self.state, np.uint32, CONTENDER_WORDS)
+        return buffers.download(self.device, self.state, np.uint32, CONTENDER_WORDS, out=self._state)
 
     def settle_facing(self, view: np.ndarray, low: cl.Buffer, high: cl.Buffer) -> None:
         """Find the signs of the volumes that float32 could not tell; triangles seen edge-on get empty bounds."""
-        listed = int(self._read()[1]) if self._limited else None
+        listed = int(self._read()[CONTENDER_FACINGS]) if self._limited else None
         more = {"prims": self.geometry.prims} if self.features.leaf_order else {}
         self._program.launch(
             "settle_facing",
@@ -141,13 +146,12 @@ class ContenderList:
         front_prims: cl.Buffer | None = None,
     ) -> None:
         """Let every listed contender take its sample, if it must."""
-        listed = min(int(self._read()[CONTENDER_COUNT]), self.capacity) if self._limited else None
         more: dict[str, Any] = dict(self._masks)
         if self.features.keep_nearness:
             more |= {"layer": layer, "front_prims": front_prims or visible_prims, "nearness": nearness}
         self._program.launch(
             "settle_contenders",
-            self._items(listed),
+            self._items(int(self._state[CONTENDER_COUNT])),
             1,
             view=view,
             camera=self.camera,
@@ -171,37 +175,36 @@ class ContenderList:
         front: tuple[cl.Buffer, cl.Buffer] | None,
     ) -> None:
         """Run `decide_samples(layer, front)` and settle what it left open; again where the list was too short."""
-        while True:
-            self.start_band()
+        for word in (CONTENDER_COUNT, CONTENDER_FLOAT64, CONTENDER_EXACT):
+            self._clear(word)
+        decide_samples(layer, front)
+        while not self.fits():
+            for word in (CONTENDER_COUNT, CONTENDER_FLOAT64):
+                self._clear(word)
             decide_samples(layer, front)
+        if self._state[CONTENDER_COUNT]:
             self.settle(view, visible_prims, nearness, layer, None if front is None else front[1])
-            if self.fits():
-                return
+            self._read()
+        for name, word in COUNTS.items():
+            self.counts[name] += int(self._state[word])
 
     def fits(self) -> bool:
         """Whether all contenders were listed; where not, the list has grown and the band is to be decided again.
 
         Waits. Raises CapacityError where the device gives no longer list in one piece.
         """
-        state = self._read()
-        count = int(state[CONTENDER_COUNT])
-        if count > self.capacity:
-            if CONTENDER_BYTES * count > self.device.max_allocation_bytes:
-                raise CapacityError(
-                    f"{count} samples need exact arithmetic, more than {self.device.name} can list in one piece: "
-                    "render a smaller image"
-                )
-            self.capacity = count + count // 8
-            self.contenders.release()
-            self.contenders = buffers.create(self.device, CONTENDER_BYTES * self.capacity)
-            return False
-        for name, word in (
-            ("contenders", CONTENDER_COUNT),
-            ("settled_float64", CONTENDER_FLOAT64),
-            ("settled_exact", CONTENDER_EXACT),
-        ):
-            self.counts[name] += int(state[word])
-        return True
+        count = int(self._read()[CONTENDER_COUNT])
+        if count <= self.capacity:
+            return True
+        if CONTENDER_BYTES * count > self.device.max_allocation_bytes:
+            raise CapacityError(
+                f"{count} samples need exact arithmetic, more than {self.device.name} can list in one piece: "
+                "render a smaller image"
+            )
+        self.capacity = count + count // 8
+        self.contenders.release()
+        self.contenders = buffers.create(self.device, CONTENDER_BYTES * self.capacity)
+        return False
 
     def pairs(self) -> np.ndarray:
         """(contender_count, 2) uint32: pixel of the last band, prim_id. Waits."""

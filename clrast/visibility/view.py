@@ -76,13 +76,12 @@ def _find_reaches(view: np.ndarray, camera: CameraVectors, center: Vector, tange
     """Set `direction_reach` and `origin_reach`; `center` is scaled where rays are parallel, as `tangents` are."""
     upwards = 1 + 2.0**-20
     if camera.projection == "orthographic":
-        view["direction_reach"] = upwards * max(map(abs, camera.direction))
-        # What two floats lose of the centre, in units of what error bounds are multiplied with.
-        lost = 2.0**-24 * sum(map(abs, center))
-        view["origin_reach"] = upwards * (sum(_spread(view, (0.0, 0.0, 0.0), *tangents)) + lost)
-        view["origin_reach"] += float(np.abs(view["origin_low"]).sum())
+        view["direction_reach"][:3] = [upwards * abs(c) for c in camera.direction]
+        # What two floats lose of the centre, 2^-46 of it, counts as 2^-24 of what bounds are multiplied with.
+        spread = _spread(view, _split(center)[1].tolist()[:3], *tangents)
+        view["origin_reach"][:3] = [upwards * (s + 2.0**-22 * abs(c)) for s, c in zip(spread, center, strict=True)]
     else:
-        view["direction_reach"] = upwards * max(_spread(view, center, *tangents))
+        view["direction_reach"][:3] = [upwards * c for c in _spread(view, center, *tangents)]
 
 
 def build_view(camera: CameraVectors, low: np.ndarray, high: np.ndarray, tile_log2: int) -> np.ndarray:
