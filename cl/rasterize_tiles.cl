@@ -133,7 +133,7 @@ kernel void rasterize_tiles(
   frame.contenders = contenders;
   frame.corners = corners;
   frame.positions = positions;
-  frame.indices = prim_vertices;
+  frame.prim_vertices = prim_vertices;
 #endif
   TileSamples samples;
   uint begin = tile_begin[tile], end = min(tile_begin[tile + 1], reference_capacity);
@@ -159,6 +159,9 @@ kernel void rasterize_tiles(
     rasterize_batch(&batch, &frame, &samples);
   }
   store_tile(view, left, top, samples.visible, visible_prims);
+#if FILTERED
+  if (samples.asked) atomic_add(contender_state + CONTENDER_FLOAT64, samples.asked);
+#endif
 #if KEEP_NEARNESS
   store_nearness(view, left, top, samples.nearness, nearness);
 #if FILTERED

@@ -81,21 +81,6 @@ static bool covers(Corners t, Camera camera, Place at, Rungs *rungs) {
 #endif
 }
 
-static bool same_point(float4 a, float4 b) { return a.x == b.x && a.y == b.y && a.z == b.z; }
-
-// Whether two triangles surely lie in one plane: the same corners, or one coordinate that all six share.
-static bool one_plane(Corners a, Corners b) {
-  const bool same = same_point(a.p[0], b.p[0]) && ((same_point(a.p[1], b.p[1]) && same_point(a.p[2], b.p[2])) ||
-                                                   (same_point(a.p[1], b.p[2]) && same_point(a.p[2], b.p[1])));
-  bool x = true, y = true, z = true;
-  for (uint i = 0; i < 3; ++i) {
-    x &= a.p[i].x == a.p[0].x && b.p[i].x == a.p[0].x;
-    y &= a.p[i].y == a.p[0].y && b.p[i].y == a.p[0].y;
-    z &= a.p[i].z == a.p[0].z && b.p[i].z == a.p[0].z;
-  }
-  return same || x || y || z;
-}
-
 // Whether triangle `prim_id`, which covers the sample, goes before `other`, which does too: nearer, or as near
 // with the smaller id.
 static bool goes_before(Corners t, uint prim_id, Corners u, uint other, Camera camera, Place at, Rungs *rungs) {

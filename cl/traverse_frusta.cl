@@ -218,7 +218,7 @@ kernel void traverse_frusta(
   s.frame.contenders = contenders;
   s.frame.corners = corners;
   s.frame.positions = positions;
-  s.frame.indices = prim_vertices;
+  s.frame.prim_vertices = prim_vertices;
   s.facing_signs = facing_signs;
 #endif
 #if ALPHA_MASK
@@ -267,6 +267,9 @@ kernel void traverse_frusta(
   resume_points[2 * item + 1] = next_slot;
 #endif
   store_tile(view, left, top_row, samples.visible, visible_prims);
+#if FILTERED
+  if (samples.asked) atomic_add(contender_state + CONTENDER_FLOAT64, samples.asked);
+#endif
 #if KEEP_NEARNESS
   store_nearness(view, left, top_row, samples.nearness, nearness);
 #if FILTERED
