@@ -55,7 +55,7 @@ INLINE void load_references(
   const int_v bounds = AS_INT_V(LOAD_V(reference_bounds + first));
 #if FILTERED
   ErrorBounds errors;
-  const TriangleSetup setup = setup_triangles_settled(triangles, view, batch->prim_id, facing_signs, &errors);
+  const TriangleSetup setup = setup_triangles_settled(triangles, view, frame->direction_reach, batch->prim_id, facing_signs, &errors);
 #pragma unroll
   for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) batch->slot[lane] = batch->prim_id[lane];
   fill_batch(batch, setup, errors, frame,

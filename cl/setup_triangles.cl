@@ -242,7 +242,7 @@ kernel void setup_triangles(
     }
 #endif
 #if FILTERED
-    const ErrorBounds errors = bound_errors(triangles, volume_of(triangles, view), view);
+    const ErrorBounds errors = bound_errors(triangles, volume_of(triangles, view), view, view.direction_reach);
     if (LANE_MASK(errors.facing_unsure) != 0)
       list_unsure_facings(errors.facing_unsure, LOAD_V(bounds_high + k), k, triangle_count, contender_state, unsure_slots);
 #endif
@@ -253,6 +253,7 @@ kernel void setup_triangles(
     NearnessPlane plane = setup.nearness;
     float span[VECTOR_WIDTH];
     most = widen_nearness(&plane, errors, most, view.center_x, view.center_y, span);
+    most = most == most ? most : (float_v)(INFINITY);
 #endif
     STORE_V(most, nearest + k);
 #endif
