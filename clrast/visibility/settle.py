@@ -77,7 +77,9 @@ class ContenderList:
         self.facing_signs = buffers.create(device, slot_count)
         self.counts = dict.fromkeys(COUNTS, 0)
         self.launches = 0
-        self._state = np.ones(CONTENDER_WORDS, dtype=np.uint32)  # unknown
+        buffers.fill(device, self.state, np.uint32(0), 4 * CONTENDER_WORDS)
+        self._state = np.zeros(CONTENDER_WORDS, dtype=np.uint32)
+        self._counted = self._state.copy()
 
     def setup_arguments(self) -> dict[str, Any]:
         """Of setup_triangles."""
@@ -175,18 +177,19 @@ class ContenderList:
         front: tuple[cl.Buffer, cl.Buffer] | None,
     ) -> None:
         """Run `decide_samples(layer, front)` and settle what it left open; again where the list was too short."""
-        for word in (CONTENDER_COUNT, CONTENDER_FLOAT64, CONTENDER_EXACT):
-            self._clear(word)
+        self._clear(CONTENDER_COUNT)
         decide_samples(layer, front)
         while not self.fits():
-            for word in (CONTENDER_COUNT, CONTENDER_FLOAT64):
-                self._clear(word)
+            self._clear(CONTENDER_COUNT)
             decide_samples(layer, front)
         if self._state[CONTENDER_COUNT]:
             self.settle(view, visible_prims, nearness, layer, None if front is None else front[1])
             self._read()
         for name, word in COUNTS.items():
-            self.counts[name] += int(self._state[word])
+            # Only the list's own count starts anew: the others go on, modulo 2^32.
+            before = 0 if word == CONTENDER_COUNT else int(self._counted[word])
+            self.counts[name] += (int(self._state[word]) - before) & 0xFFFFFFFF
+        self._counted[:] = self._state
 
     def fits(self) -> bool:
         """Whether all contenders were listed; where not, the list has grown and the band is to be decided again.
