@@ -31,54 +31,45 @@ static int facing_sign(Corners t, Camera camera, Rungs *rungs) {
   if (sign != UNKNOWN) return sign;
 #endif
 #if PRECISION == PRECISION_EXACT
+  const Place place = {0, 0};
   rungs->by_integers = true;
-  return facing_exact(t, camera);
+  return answer_exact(t, ASK_FACING, camera, place, find_units(camera, &t, 1));
 #else
   return 0;
 #endif
 }
 
-#if PROJECTION == PROJECTION_ORTHOGRAPHIC
-// The sign of t, where the triangle is not seen edge-on.
-static int distance_sign(Corners t, int facing, Camera camera, Place at, Rungs *rungs) {
-#if FLOAT64
-  const int sign = sign64(quotient64(t, ray64(camera, at)).numerator);
-  if (sign != UNKNOWN) return sign * facing;
-#endif
-#if PRECISION == PRECISION_EXACT
-  rungs->by_integers = true;
-  return distance_sign_exact(t, camera, at);
-#else
-  return 0;
-#endif
-}
-#endif
-
-// Whether a triangle covers a sample (DESIGN section 1, 'Covered').
+// Whether a triangle covers a sample (DESIGN section 1, 'Covered'): its facing, the three edges and, in orthographic
+// views, t > 0; elsewhere V and the sum of the V_i have one sign, so that t > 0 is said already.
 static bool covers(Corners t, Camera camera, Place at, Rungs *rungs) {
-  const int facing = facing_sign(t, camera, rungs);
-  if (facing == 0) return false;
-  int side[3] = {UNKNOWN, UNKNOWN, UNKNOWN};
+#if PROJECTION == PROJECTION_ORTHOGRAPHIC
+  const int questions = 5;
+#else
+  const int questions = 4;
+#endif
+  // The facing comes first, the distance last.
+  int answer[5] = {UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN};
 #if FLOAT64
   const Ray64 ray = ray64(camera, at);
-  for (uint i = 0; i < 3; ++i) {
-    side[i] = edge_side64(t, i, camera, ray);
-    if (side[i] != UNKNOWN && side[i] != -facing) return false;
-  }
+  answer[0] = sign64(volume64(t, ray));
+  for (uint i = 0; i < 3; ++i) answer[1 + i] = edge_side64(t, i, camera, ray);
+  answer[4] = sign64(quotient64(t, ray).numerator);
+  rungs->by_float64 = true;
+  if (answer[0] != UNKNOWN)
+    for (int k = 1; k < questions; ++k)
+      if (answer[k] != UNKNOWN && answer[k] != (k < 4 ? -answer[0] : answer[0])) return false;
 #endif
 #if PRECISION == PRECISION_EXACT
   const Units units = find_units(camera, &t, 1);
-  for (uint i = 0; i < 3; ++i) {
-    if (side[i] != UNKNOWN) continue;
-    rungs->by_integers = true;
-    if (edge_side_exact(t.p[(i + 2) % 3], t.p[(i + 1) % 3], camera, at, units) != -facing) return false;
+  for (int k = 0; k < questions; ++k) {
+    if (answer[k] == UNKNOWN) {
+      rungs->by_integers = true;
+      answer[k] = answer_exact(t, k == 0 ? ASK_FACING : (k < 4 ? ASK_EDGE + k - 1 : ASK_DISTANCE), camera, at, units);
+    }
+    if (answer[0] == 0 || (k > 0 && answer[k] != (k < 4 ? -answer[0] : answer[0]))) return false;
   }
 #endif
-#if PROJECTION == PROJECTION_ORTHOGRAPHIC
-  return distance_sign(t, facing, camera, at, rungs) > 0;
-#else
-  return true;  // t > 0: V and the sum of the V_i have one sign
-#endif
+  return answer[0] != 0;
 }
 
 // Whether triangle `prim_id`, which covers the sample, goes before `other`, which does too: nearer, or as near
@@ -146,23 +137,30 @@ static void settle_contender(const Ground *g, uint pixel, uint prim_id, volatile
   const Place at = {(int)(256 * column + 128), (int)(256 * row + 128)};
   const Corners t = load_corners(g->positions, g->indices, prim_id);
   if (!covers(t, g->camera, at, rungs)) return;
-#if KEEP_NEARNESS
-  if (g->layer > 0) {
-    const uint front = g->front_prims[pixel];
-    if (front == NO_HIT || front == prim_id) return;
-    const Corners u = load_corners(g->positions, g->indices, front);
-    if (!goes_before(u, front, t, prim_id, g->camera, at, rungs)) return;
-  }
-#endif
 #if ALPHA_MASK
   if (!mask_lets_pass(g, prim_id, at)) return;
 #endif
   uint other = visible_prims[pixel];
+#if KEEP_NEARNESS
+  // First against the layer in front, which must come before it, then against what is visible.
+  bool is_behind = g->layer == 0;
+  if (!is_behind) other = g->front_prims[pixel];
+  if (!is_behind && (other == NO_HIT || other == prim_id)) return;
+#else
+  const bool is_behind = true;
+#endif
   while (other != prim_id) {
     if (other != NO_HIT) {
       const Corners u = load_corners(g->positions, g->indices, other);
-      if (!goes_before(t, prim_id, u, other, g->camera, at, rungs)) return;
+      if (goes_before(t, prim_id, u, other, g->camera, at, rungs) != is_behind) return;
     }
+#if KEEP_NEARNESS
+    if (!is_behind) {
+      is_behind = true;
+      other = visible_prims[pixel];
+      continue;
+    }
+#endif
     const uint found = atomic_cmpxchg(visible_prims + pixel, other, prim_id);
     if (found == other) break;
     other = found;

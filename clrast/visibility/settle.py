@@ -32,11 +32,6 @@ PIXELS_PER_CONTENDER = 8
 WORKERS_PER_UNIT = 16
 """Work items that share a list of unknown length, per compute unit."""
 
-EXACT_ITERATIONS = 24_000
-"""Upper bound of the loop iterations that one contender costs in integers: 3 edges with two derivatives and two
-comparisons, all at the full 10 limbs."""
-
-
 def first_capacity(pixel_count: int) -> int:
     """Contenders that a list has room for at first."""
     return max(MIN_CONTENDERS, pixel_count // PIXELS_PER_CONTENDER)
