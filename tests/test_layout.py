@@ -125,12 +125,14 @@ MOST_COMBINATIONS = 300
 """Of one program; where its features have more, all values of every two of them are combined, the others default."""
 
 
-def combinations_in_use(source: str, runtime: str) -> list[Features]:
+def combinations_in_use(source: str, device: Device) -> list[Features]:
     """The features that a program of that text may be built for, as far as that can be done in minutes."""
     defines = " ".join(Features().defines(source))
     values = {f.name: values_in_use(f.name) for f in fields(Features) if f"-D {f.name.upper()}=" in defines}
-    if "prefetch" in values and runtime not in PREFETCHING:
+    if "prefetch" in values and device.runtime not in PREFETCHING:
         values["prefetch"] = [False]  # never asked for there: see runtimes.py
+    if "float64" in values and not device.has_fp64:
+        values["float64"] = [False]
     together = [tuple(values)] if math.prod(map(len, values.values())) <= MOST_COMBINATIONS else []
     made = {
         Features(**dict(zip(names, chosen, strict=True)))
@@ -168,13 +170,15 @@ def test_programs_build_for_each_single_feature(device: Device, name: str) -> No
         for value in values_in_use(field.name):
             if field.name == "prefetch" and value and device.runtime not in PREFETCHING:
                 continue  # never asked for there: see runtimes.py
+            if field.name == "float64" and value and not device.has_fp64:
+                continue
             kernels.build(device, name, replace(base, **{field.name: value}))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_programs_build_for_the_combinations_that_they_read(device: Device, name: str) -> None:
-    for features in combinations_in_use(kernels.source_text(name), device.runtime):
+    for features in combinations_in_use(kernels.source_text(name), device):
         kernels.build(device, name, features)
 
 

@@ -138,9 +138,7 @@ def test_fov_is_inside_0_and_180(degrees: float) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("precision", "exact", "--precision exact is not available in this version; use fast, ordered or midpoint"),
-        ("precision", "double", "--precision double is not available"),
-        ("precision", "fixed", "--precision fixed is not available"),
+        ("precision", "fixed", "--precision fixed is not available in this version; use fast, .* or exact"),
         (
             "method",
             "raycast-grid",
@@ -170,7 +168,7 @@ def test_what_is_not_there_yet_says_so(name: str, value: str | bool, message: st
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("precision", "midpiont", "use fast, ordered or midpoint .did you mean midpoint"),
+        ("precision", "midpiont", "use fast, ordered, midpoint, double or exact .did you mean midpoint"),
         ("method", "3dr-bining", "use auto, 2dr-brute, .* or raycast-brute .did you mean 3dr-binning"),
         ("method", "raycast-bhv", "did you mean raycast-bvh"),
         ("method", "3DR-full", "did you mean 3dr-full"),

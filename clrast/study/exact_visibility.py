@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .linear_forms import BOUND_64, FloatForms, IntegerForms, cross, dot, float_forms
+from clrast.study.linear_forms import BOUND_64, FloatForms, IntegerForms, cross, dot, float_forms
 
 NO_HIT = 4294967295
 BLOCK_SIDES = (128, 16)

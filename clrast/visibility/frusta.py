@@ -20,8 +20,8 @@ from clrast.visibility.bvh import Bvh
 from clrast.visibility.geometry import Geometry
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import Method
-from clrast.visibility.settle import ContenderList
 from clrast.visibility.screen_bounds import ScreenBounds, round_up
+from clrast.visibility.settle import ContenderList
 from clrast.visibility.work import WorkCounters
 
 if TYPE_CHECKING:

@@ -87,5 +87,13 @@ def build_geometry(
     )
     device.queue.finish()
     return Geometry(
-        buffer, indices, corners, len(triangles), len(positions), world_positions=world_positions, bvh=bvh, **masks, **order
+        buffer,
+        indices,
+        corners,
+        len(triangles),
+        len(positions),
+        world_positions=world_positions,
+        bvh=bvh,
+        **masks,
+        **order,
     )

@@ -1,6 +1,7 @@
 """The last rungs of the precision ladder on the device: what the float32 filter left open is settled here.
 
-The kernels are cl/settle_contenders.cl; what is listed is said in cl/filtered_samples.clh. `decide` waits for the count.
+The kernels are cl/settle_contenders.cl; what is listed is said in cl/filtered_samples.clh. `decide` waits for the
+list's length.
 """
 
 from __future__ import annotations
@@ -14,7 +15,14 @@ from clrast.errors import CapacityError
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
-from clrast.opencl.layout import CAMERA, CONTENDER_COUNT, CONTENDER_EXACT, CONTENDER_FACINGS, CONTENDER_FLOAT64, CONTENDER_WORDS
+from clrast.opencl.layout import (
+    CAMERA,
+    CONTENDER_COUNT,
+    CONTENDER_EXACT,
+    CONTENDER_FACINGS,
+    CONTENDER_FLOAT64,
+    CONTENDER_WORDS,
+)
 from clrast.visibility.geometry import Geometry
 from clrast.visibility.loop_limits import loop_limit
 
@@ -23,7 +31,7 @@ if TYPE_CHECKING:
 
 CONTENDER_BYTES = 8
 COUNTS = {"decided_float64": CONTENDER_FLOAT64, "contenders": CONTENDER_COUNT, "decided_exact": CONTENDER_EXACT}
-"""Name in the stats -> word: samples that float64 was asked about and knew, pairs that it left, those that took integers."""
+"""Name in the stats -> word: samples that float64 knew, pairs that it left, those that took integers."""
 
 MIN_CONTENDERS = 1 << 14
 PIXELS_PER_CONTENDER = 8

@@ -17,8 +17,8 @@ from clrast.opencl.device import Device
 from clrast.opencl.features import Features
 from clrast.visibility.geometry import Geometry
 from clrast.visibility.loop_limits import chunk_size_within, loop_limit, reference_span_within
-from clrast.visibility.settle import ContenderList
 from clrast.visibility.screen_bounds import ScreenBounds, round_up
+from clrast.visibility.settle import ContenderList
 from clrast.visibility.work import WorkCounters
 
 if TYPE_CHECKING:
