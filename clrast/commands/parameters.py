@@ -54,7 +54,13 @@ Height = Annotated[
 ]
 
 Precision = Annotated[
-    Texts, _option("--precision", metavar="RUNG", text="fast, ordered, midpoint, double or exact [default: midpoint].", panel=ACCURACY)
+    Texts,
+    _option(
+        "--precision",
+        metavar="RUNG",
+        text="fast, ordered, midpoint, double or exact [default: midpoint].",
+        panel=ACCURACY,
+    ),
 ]
 Antialiasing = Annotated[
     Texts, _option("--aa", metavar="MODE", text="none [default]; others in later versions.", panel=ACCURACY)
