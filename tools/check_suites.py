@@ -6,7 +6,9 @@
     python tools/check_suites.py --suite sheets,aimed --methods raycast-bvh --precision exact --device rusticl
 
 Suites: dEQP's fill rules (quads), Vulkan's sheets (sheets) and the same aimed at every vertex and at the middle of
-every edge (aimed). What they are and what is promised stands in tests/conformance_worlds.py and tests/conformance.py.
+every edge (aimed), Embree's sphere and plane far from the origin (far) and small triangles far away (small), pbrt's
+bumpy sphere (bumpy, bumpy-large), piglit's exact triangles (integer). What they are stands in the files
+tests/conformance_*.py, what is promised in tests/conformance.py.
 A row sums the cases of a suite for one rung and method; numbers are samples.
 """
 
@@ -25,6 +27,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 import conformance_worlds as worlds  # noqa: E402
 from conformance import METHOD_OPTIONS, UNJUDGED_RUNGS, Verdict, run_case  # noqa: E402
+from conformance_integer import integer_cases  # noqa: E402
+from conformance_spheres import far_cases, large_bumpy_cases, small_bumpy_cases  # noqa: E402
 from conformance_worlds import Case  # noqa: E402
 
 from clrast.errors import ClrastError  # noqa: E402
@@ -36,8 +40,13 @@ SUITES = {
     "quads": worlds.quad_cases,
     "sheets": worlds.sheet_cases,
     "aimed": worlds.aimed_sheet_cases,
+    "far": far_cases,
+    "small": worlds.small_cases,
+    "bumpy": small_bumpy_cases,
+    "bumpy-large": large_bumpy_cases,
+    "integer": integer_cases,
 }
-SHORT_SHARE = {"quads": 3, "sheets": 7, "aimed": 7}
+SHORT_SHARE = {"quads": 3, "sheets": 7, "aimed": 7, "far": 6, "small": 4, "bumpy": 10, "bumpy-large": 6, "integer": 10}
 """Without --long every so manieth case is run."""
 COLUMNS = ("suite", "rung", "method", "cases", "samples", "at vertices", "at edges", "missed", "double",
            "of these excused", "other id", "not as 3dr-binning", "verdict")  # fmt: skip
