@@ -1,8 +1,8 @@
 """Embree's sphere and plane far from the origin, and pbrt's bumpy sphere seen from inside, as views of cameras.
 
 A sphere is seen through the six faces of a cube, so that every direction meets a sample. pbrt aims as many rays at
-vertices as anywhere; here each vertex of a bumpy sphere lies exactly on the ray of a sample, those on the cube's edges on
-one of two faces. Scenes alone; `single` as in conformance_worlds.py.
+vertices as anywhere; here each vertex of a bumpy sphere lies exactly on the ray of a sample, those on the cube's
+edges on those of two faces. Scenes alone; `single` as in conformance_worlds.py.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def face(forward: np.ndarray, half: int, eye: tuple[float, float, float]) -> Cam
 
 
 def far_sphere(segments: int) -> tuple[np.ndarray, np.ndarray]:
-    """Embree's sphere of radius 2 round FAR: closed but for nothing, its float32 vertices far from round."""
+    """Embree's sphere of radius 2 round FAR: closed, its float32 vertices far from round."""
     theta, phi = np.meshgrid(np.arange(1, segments) * math.pi / segments, np.arange(2 * segments) * math.pi / segments,
                              indexing="ij")  # fmt: skip
     ring = np.stack([np.sin(theta) * np.cos(phi), np.cos(theta), np.sin(theta) * np.sin(phi)], axis=2).reshape(-1, 3)

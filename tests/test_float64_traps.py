@@ -1,4 +1,4 @@
-"""clrast/study/float64_traps.py: its answers against fractions, that float64 gets them wrong, and what rungs make of it."""
+"""Traps for float64: their answers against fractions, that float64 gets them wrong, and what rungs make of them."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_answers_are_those_of_fractions(trap: Trap) -> None:
     assert [ref.sign(v) for v in values] == [ref.sign(v) for v in trap.values]
     if trap.kind == "near":
         lengths = [max(abs(Fraction(float(c))) for c in trap.positions[k]) for k in (0, 1)]
-        assert 0 < abs(values[0]) < lengths[0] * lengths[1] / 2**60
+        assert 0 < abs(values[0]) < lengths[0] * lengths[1] / 2**60  # float64 is certain from 2^-51 on
     else:
         assert set(values) == {0}
 

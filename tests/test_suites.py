@@ -30,6 +30,7 @@ TOOL = Path(__file__).resolve().parents[1] / "tools" / "check_suites.py"
 JUDGED = tuple(rung for rung in AVAILABLE_PRECISIONS if rung not in UNJUDGED_RUNGS)
 SHORT_RUNGS = tuple(rung for rung in ("midpoint", "exact") if rung in JUDGED)
 SHORT_METHODS = ("3dr-binning", "raycast-bvh")
+PROJECTIONS = ("perspective", "orthographic")
 
 
 def short_cases() -> dict[str, list[Case]]:
@@ -37,8 +38,8 @@ def short_cases() -> dict[str, list[Case]]:
     quads = list(quad_cases())
     return {
         "quads": [quads[k] for k in (0, 3, 4, 20, 32, 150, 160, 200)],
-        "sheets": [sheet(0, level, projection) for level in (1, 4, 7) for projection in ("perspective", "orthographic")],
-        "aimed": [aimed_sheet(1, level, projection) for level in (1, 5) for projection in ("perspective", "orthographic")],
+        "sheets": [sheet(0, level, projection) for level in (1, 4, 7) for projection in PROJECTIONS],
+        "aimed": [aimed_sheet(1, level, projection) for level in (1, 5) for projection in PROJECTIONS],
         "far": [next(far_cases())],
         "small": [next(small_cases())],
         "bumpy": list(itertools.islice(small_bumpy_cases(), 6)),
@@ -196,6 +197,7 @@ def test_a_contracted_cross_product_is_caught(first_device: Device, tmp_path: Pa
         assert broken(faulty, quads) > 0
 
 
+@pytest.mark.long
 def test_a_wrong_fill_rule_is_caught(first_device: Device, tmp_path: Path) -> None:
     """Inclusive on all sides: samples on edges are hit twice, in piglit's exact triangles and in aimed sheets."""
     line = "  edge.exclusive = inclusive ? (int_v)(0) : (int_v)(1);\n"

@@ -2,7 +2,7 @@
 
 V = n . d, n = (a - e) x (b - e), of 24-bit numbers takes 72 bits and more; float64 has 53. Two kinds of traps:
 
-    near   V is not 0, but its size is one unit of 2^72. For integers a, b the values n . d are the multiples of
+    near   V is not 0, but its size is two units of the 2^66 that a, b and d have. For integers a, b the values n . d are the multiples of
            g = gcd(n). Bezout's identity gives a d with n . d = g, and the lattice of the vectors orthogonal to n
            (those that leave the value as it is) holds a and b: taken modulo a and b, d lies between them. So the ray
            passes an edge at 1e-21 of its length, on a side that is known. (Lattice reduction, in the plane.)
@@ -150,7 +150,7 @@ def near_trap(rng: random.Random, projection: str) -> Trap | None:
     one, other = vector(rng, BITS - 1), vector(rng, BITS - 1)
     n = cross(one, other)
     sign = rng.choice((-1, 1))
-    if gcd(*n) == 0:
+    if gcd(*n) != 2:  # of odd numbers it is even
         return None
     least = combine(least_product(n), sign, (0, 0, 0), 0)
     found = between(least, one, other)
