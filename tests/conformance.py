@@ -94,13 +94,14 @@ class Image:
     counts: np.ndarray
 
 
-def make_image(device: Device, case: Case, options: Options) -> Image:
-    """Two renders: as it is, and with every surface half transparent."""
+def make_image(device: Device, case: Case, options: Options, is_opaque: bool = True) -> Image:
+    """Two renders: as it is, and with every surface half transparent; the latter alone where not `is_opaque`."""
+    glass = replace(case.scene, materials=HALF, material_ids=np.zeros_like(case.scene.material_ids))
     with np.errstate(over="ignore", invalid="ignore"):
-        frame = render(device, case.scene, case.view, aov=("id", "depth"), **options)
-        glass = replace(case.scene, materials=HALF, material_ids=np.zeros_like(case.scene.material_ids))
-        alpha = render(device, glass, case.view, aov="color", **options)["A"]
-    counts = -np.log2(1 - alpha.astype(np.float64))
+        frame = counted = render(device, glass, case.view, aov=("color", "id", "depth"), **options)
+        if is_opaque:
+            frame = render(device, case.scene, case.view, aov=("id", "depth"), **options)
+    counts = -np.log2(1 - counted["A"].astype(np.float64))
     if not (counts == np.round(counts)).all():
         raise ValueError(f"{case.suite}, {case.name}: an alpha is not 1 - 2^-n")
     return Image(frame["id.prim"], frame["Z"].view(np.uint32), counts.astype(np.int64))
@@ -199,19 +200,27 @@ def judge(case: Case, expected: Expected, image: Image, reference: Image, labels
 
 
 def run_case(
-    device: Device, case: Case, rungs: tuple[str, ...], methods: tuple[str, ...], with_ids: bool = True
+    device: Device,
+    case: Case,
+    rungs: tuple[str, ...],
+    methods: tuple[str, ...],
+    with_ids: bool = True,
+    is_opaque: bool = True,
 ) -> Iterator[Verdict]:
-    """Every method and rung that the program accepts; those that it refuses yield nothing."""
+    """Every method and rung that the program accepts; those that it refuses yield nothing.
+
+    with_ids : off, only hits are counted. is_opaque : off, ids are those of the nearest transparent surface.
+    """
     expected = expect(case, with_ids)
     pairs = case.scene.triangle_count * case.view.width * case.view.height
     for rung in rungs:
-        reference = make_image(device, case, {"method": REFERENCE, "precision": rung})
+        reference = make_image(device, case, {"method": REFERENCE, "precision": rung}, is_opaque)
         for method in methods:
             if METHODS[method.split(":")[0]].is_brute and pairs > BRUTE_LIMIT:
                 continue
             try:
                 options = {**METHOD_OPTIONS[method], "precision": rung}
-                image = reference if method == REFERENCE else make_image(device, case, options)
+                image = reference if method == REFERENCE else make_image(device, case, options, is_opaque)
             except UsageError:  # the rung is not one of this method's
                 continue
             yield judge(case, expected, image, reference, (device.runtime, method, rung))

@@ -123,6 +123,11 @@ def small_bumpy_cases() -> Iterator[Case]:
     return bumpy_cases(8, 64, BUMPY_SEEDS)
 
 
+def dense_bumpy_cases() -> Iterator[Case]:
+    """98,306 vertices, 1.6 million rays, 99,846 of them aimed at vertices: one in sixteen."""
+    return bumpy_cases(128, 256, 1)
+
+
 def large_bumpy_cases() -> Iterator[Case]:
     """98,306 vertices, 6.3 million rays, 99,846 of them aimed at vertices."""
     return bumpy_cases(128, 512, 1)

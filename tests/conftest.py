@@ -5,6 +5,7 @@ The loader reads its settings once per process, so they are made here, before an
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import sys
@@ -94,6 +95,15 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def device(request: pytest.FixtureRequest) -> devices.Device:
     """An opened device; `device.runtime` is a selector that finds it again."""
     return devices.open_device(runtimes().working[request.param])
+
+
+@pytest.fixture(scope="session")
+def first_device() -> devices.Device:
+    """The first runtime that works here, with vectors of one lane, which build fastest: for tests of many programs."""
+    names = [name for name in runtimes().working if name != "oclgrind"]
+    if not names:
+        pytest.skip("no OpenCL runtime works here")
+    return dataclasses.replace(devices.open_device(runtimes().working[names[0]]), programs={}, vector_width=1)
 
 
 @pytest.fixture(autouse=True)

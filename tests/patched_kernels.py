@@ -25,7 +25,7 @@ CONTRACTED = {
 
 @contextmanager
 def patched(device: Device, folder: Path, replacements: Mapping[tuple[str, str], str]) -> Iterator[Device]:
-    """The device with kernels of its own, whose vectors have one lane: these build fastest.
+    """The device with kernels of its own.
 
     replacements : (file, text) -> the text in its place; one that is not there, or twice, is an error.
     """
@@ -38,6 +38,6 @@ def patched(device: Device, folder: Path, replacements: Mapping[tuple[str, str],
         (copy / name).write_text(text.replace(old, new), "utf-8")
     kernels.kernel_folder = lambda: copy  # type: ignore[assignment]
     try:
-        yield replace(device, programs={}, vector_width=1)
+        yield replace(device, programs={})
     finally:
         kernels.kernel_folder = original  # type: ignore[assignment]

@@ -8,13 +8,16 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import reference as ref
-from kernel_world import make_scene, render_ids
+from conformance import make_image
+from conformance_worlds import Case
+from kernel_world import make_scene
 
 from clrast.opencl.device import Device
 from clrast.options import AVAILABLE_PRECISIONS
 from clrast.study.float64_traps import Trap, bezout, float64_value, traps
 
-ALL = list(traps(seed=0, count=24))
+PROJECTIONS = ("perspective", "orthographic")
+ALL = list(traps(seed=0, count=16))
 
 
 def kind_of(trap: Trap) -> tuple[str, str]:
@@ -86,24 +89,46 @@ def test_float64_gets_signs_and_triangles_wrong() -> None:
         assert wrong_sign[kind] >= count / 4 and wrong_triangle[kind] >= count / 4, (kind, wrong_sign, wrong_triangle)
 
 
-def render_traps(device: Device, rung: str) -> list[Trap]:
-    """The traps that a rung falls into."""
+def fallen_into(device: Device, rung: str, projections: tuple[str, ...]) -> list[Trap]:
+    """The traps of these projections that a rung falls into: another id, or not just one hit."""
     found = []
     for trap in ALL:
-        scene = make_scene(trap.positions, trap.triangles)
-        if render_ids(device, scene, trap.view, precision=rung, method="3dr-binning")[0, 0] != trap.prim_id:
-            found.append(trap)
+        if trap.view.projection in projections:
+            case = Case("traps", trap.kind, make_scene(trap.positions, trap.triangles), trap.view)
+            image = make_image(device, case, {"method": "3dr-binning", "precision": rung}, is_opaque=False)
+            if (image.ids[0, 0], image.counts[0, 0]) != (trap.prim_id, 1):
+                found.append(trap)
     return found
 
 
-def test_exact_is_right_in_every_trap(device: Device) -> None:
+def check_exact(device: Device, projections: tuple[str, ...]) -> None:
     if "exact" not in AVAILABLE_PRECISIONS:
         pytest.skip("this version has no --precision exact yet")
-    assert [kind_of(trap) for trap in render_traps(device, "exact")] == []
+    assert [kind_of(trap) for trap in fallen_into(device, "exact", projections)] == []
 
 
+def check_lower(device: Device, rung: str, projections: tuple[str, ...]) -> None:
+    """A rung under `exact` falls into traps of each kind."""
+    caught = Counter(kind_of(trap) for trap in fallen_into(device, rung, projections))
+    assert len(caught) == 2 * len(projections) and min(caught.values()) >= 2, caught
+
+
+def test_exact_is_right_in_every_trap(first_device: Device) -> None:
+    check_exact(first_device, ("perspective",))
+
+
+def test_midpoint_in_the_place_of_exact_is_caught(first_device: Device) -> None:
+    check_lower(first_device, "midpoint", ("perspective",))
+
+
+@pytest.mark.long
+def test_traps_on_every_runtime(device: Device) -> None:
+    check_exact(device, PROJECTIONS)
+    check_lower(device, "midpoint", PROJECTIONS)
+
+
+@pytest.mark.long
 def test_double_in_the_place_of_exact_is_caught(device: Device) -> None:
-    """And float32, while there is no float64: rungs below `exact` fall into traps of each kind."""
-    rung = "double" if "double" in AVAILABLE_PRECISIONS and device.has_fp64 else "midpoint"
-    caught = Counter(kind_of(trap) for trap in render_traps(device, rung))
-    assert len(caught) == 4 and min(caught.values()) >= 3, caught
+    if "double" not in AVAILABLE_PRECISIONS or not device.has_fp64:
+        pytest.skip(f"{device.runtime} or this version has no --precision double")
+    check_lower(device, "double", PROJECTIONS)
