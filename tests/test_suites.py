@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import reference as ref
 from conformance import METHOD_OPTIONS, UNJUDGED_RUNGS, Verdict, expect, make_image, run_case
+from conformance_inputs import run_inputs
 from conformance_integer import covers, integer_cases, random_triangles
 from conformance_spheres import dense_bumpy_cases, far_cases, small_bumpy_cases
 from conformance_worlds import Case, aimed_sheet, quad_cases, sheet, small_cases
@@ -159,6 +160,13 @@ def test_rays_aimed_at_a_hundred_thousand_vertices(first_device: Device, faces: 
             assert verdict.forbidden == 0, verdict
             aimed, samples = aimed + verdict.aimed_vertices, samples + verdict.samples
     assert aimed > 16_600 * faces and samples > 260_000 * faces
+
+
+@pytest.mark.long
+def test_hostile_inputs(device: Device, tmp_path: Path) -> None:
+    """In short the tests of loaders and limits have them; here each in a process of its own, within a time."""
+    found = list(run_inputs(tmp_path, device.runtime))
+    assert [(one.name, fault) for one, fault in found if fault] == [] and len(found) > 9
 
 
 @pytest.mark.long

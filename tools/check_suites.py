@@ -7,8 +7,8 @@
 
 Suites: dEQP's fill rules (quads), Vulkan's sheets (sheets) and the same aimed at every vertex and at the middle of
 every edge (aimed), Embree's sphere and plane far from the origin (far) and small triangles far away (small), pbrt's
-bumpy sphere (bumpy, bumpy-large), piglit's exact triangles (integer). What they are stands in the files
-tests/conformance_*.py, what is promised in tests/conformance.py.
+bumpy sphere (bumpy, bumpy-large), piglit's exact triangles (integer), NaN, Inf and the like (inputs). What they are
+stands in the files tests/conformance_*.py, what is promised in tests/conformance.py.
 A row sums the cases of a suite for one rung and method; numbers are samples.
 """
 
@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
@@ -27,6 +28,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 import conformance_worlds as worlds  # noqa: E402
 from conformance import METHOD_OPTIONS, UNJUDGED_RUNGS, Verdict, run_case  # noqa: E402
+from conformance_inputs import run_inputs  # noqa: E402
 from conformance_integer import integer_cases  # noqa: E402
 from conformance_spheres import far_cases, large_bumpy_cases, small_bumpy_cases  # noqa: E402
 from conformance_worlds import Case  # noqa: E402
@@ -46,6 +48,7 @@ SUITES = {
     "bumpy-large": large_bumpy_cases,
     "integer": integer_cases,
 }
+INPUTS = "inputs"
 SHORT_SHARE = {"quads": 3, "sheets": 7, "aimed": 7, "far": 6, "small": 4, "bumpy": 10, "bumpy-large": 6, "integer": 10}
 """Without --long every so manieth case is run."""
 COLUMNS = ("suite", "rung", "method", "cases", "samples", "at vertices", "at edges", "missed", "double",
@@ -84,6 +87,17 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
         print("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)).rstrip())
 
 
+def check_inputs(device: str | None) -> int:
+    """The hostile files; prints each fault and how many there are."""
+    with tempfile.TemporaryDirectory() as folder:
+        found = list(run_inputs(Path(folder), device))
+    faults = [(one, fault) for one, fault in found if fault]
+    for one, fault in faults:
+        print(f"BROKEN: input with {one.name}: {fault}")
+    print(f"inputs: {len(found)} files, {len(faults)} of them with another result than the design's")
+    return len(faults)
+
+
 def names_in(text: str | None, known: Sequence[str], default: Sequence[str], parser: argparse.ArgumentParser) -> tuple:
     """A comma list of known names."""
     chosen = tuple(text.split(",")) if text else tuple(default)
@@ -96,7 +110,7 @@ def names_in(text: str | None, known: Sequence[str], default: Sequence[str], par
 def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     """The command line, its lists checked."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--suite", help=f"comma list of {', '.join(SUITES)}; all where none is named")
+    parser.add_argument("--suite", help=f"comma list of {', '.join((*SUITES, INPUTS))}; all where none is named")
     parser.add_argument("--methods", help="comma list; with --long all where none is named")
     parser.add_argument("--precision", help="comma list of rungs; all where none is named")
     parser.add_argument("--device", help="as for clrast render")
@@ -104,7 +118,8 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--json", type=Path, help="write all figures, a case a record, to this file")
     options = parser.parse_args(arguments)
     methods = tuple(METHOD_OPTIONS)
-    options.suite = names_in(options.suite, tuple(SUITES), tuple(SUITES), parser)
+    suites = (*SUITES, INPUTS)
+    options.suite = names_in(options.suite, suites, suites, parser)
     options.methods = names_in(options.methods, methods, methods if options.long else SHORT_METHODS, parser)
     options.precision = names_in(options.precision, AVAILABLE_PRECISIONS, AVAILABLE_PRECISIONS, parser)
     return options
@@ -123,7 +138,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{rung}: not judged here: {UNJUDGED_RUNGS[rung]}")
     print(f"{device}: rungs {', '.join(rungs)}; methods {', '.join(options.methods)}", flush=True)
     verdicts: list[Verdict] = []
-    for suite in options.suite:
+    faults = check_inputs(options.device) if INPUTS in options.suite else 0
+    for suite in (name for name in options.suite if name in SUITES):
         started, before = time.perf_counter(), len(verdicts)
         for case in cases_of(suite, options.long):
             for verdict in run_case(device, case, rungs, options.methods):
@@ -132,10 +148,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     print(f"BROKEN: {verdict}", flush=True)
         spent = time.perf_counter() - started
         print(f"{suite}: {len(verdicts) - before} images judged in {spent:.0f} s", file=sys.stderr, flush=True)
-    print_table(table_rows(verdicts))
+    if verdicts:
+        print_table(table_rows(verdicts))
     if options.json:
         options.json.write_text(json.dumps([asdict(one) for one in verdicts], indent=1) + "\n", encoding="utf-8")
-    return int(not verdicts or any(one.forbidden for one in verdicts))
+    return int(faults > 0 or any(one.forbidden for one in verdicts))
 
 
 if __name__ == "__main__":

@@ -2,10 +2,10 @@
 
 V = n . d, n = (a - e) x (b - e), of 24-bit numbers takes 72 bits and more; float64 has 53. Two kinds of traps:
 
-    near   V is not 0, but its size is two units of the 2^66 that a, b and d have. For integers a, b the values n . d are the multiples of
-           g = gcd(n). Bezout's identity gives a d with n . d = g, and the lattice of the vectors orthogonal to n
-           (those that leave the value as it is) holds a and b: taken modulo a and b, d lies between them. So the ray
-           passes an edge at 1e-21 of its length, on a side that is known. (Lattice reduction, in the plane.)
+    near   V is not 0, but its size is two units of the 2^66 that a, b and d have together. For integers a and b the
+           values n . d are the multiples of g = gcd(n). Bezout's identity gives a d with n . d = g; the lattice of
+           the vectors that leave this value as it is holds a and b, and taken modulo these d lies between them: the
+           ray passes an edge at 1e-20 of its length, on a side that is known.
     zero   a vertex lies exactly on the ray, V = 0 for all edges that meet there, and the fill rule says which one
            of a closed fan has the sample. The rims have full mantissas of other sizes, so that float64 rounds.
 
