@@ -207,13 +207,15 @@ def run_case(
     with_ids: bool = True,
     is_opaque: bool = True,
 ) -> Iterator[Verdict]:
-    """Every method and rung that the program accepts; those that it refuses yield nothing.
+    """Every method and rung that the program accepts and the device can; the others yield nothing.
 
     with_ids : off, only hits are counted. is_opaque : off, ids are those of the nearest transparent surface.
     """
     expected = expect(case, with_ids)
     pairs = case.scene.triangle_count * case.view.width * case.view.height
     for rung in rungs:
+        if rung == "double" and not device.has_fp64:
+            continue
         reference = make_image(device, case, {"method": REFERENCE, "precision": rung}, is_opaque)
         for method in methods:
             if METHODS[method.split(":")[0]].is_brute and pairs > BRUTE_LIMIT:

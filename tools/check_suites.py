@@ -136,6 +136,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rungs = tuple(rung for rung in options.precision if rung not in UNJUDGED_RUNGS)
     for rung in set(options.precision) - set(rungs):
         print(f"{rung}: not judged here: {UNJUDGED_RUNGS[rung]}")
+    if "double" in rungs and not device.has_fp64:
+        print(f"double: not judged here: {device.runtime} has no float64")
     print(f"{device}: rungs {', '.join(rungs)}; methods {', '.join(options.methods)}", flush=True)
     verdicts: list[Verdict] = []
     faults = check_inputs(options.device) if INPUTS in options.suite else 0

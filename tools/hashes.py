@@ -3,7 +3,7 @@
 
     python tools/hashes.py                                   every runtime that passes the self-test, all of the table
     python tools/hashes.py --device rusticl --scenes cube,room --precision midpoint
-    python tools/hashes.py --markdown docs/hashes.md         writes what was found, too
+    python tools/hashes.py --markdown data/golden/aov_hashes.md         writes what was found, too
     python tools/hashes.py --write                           makes the table anew, on the default device
 
 The table is data/golden/aov_hashes.json: for each scene and rung the methods that give the same image, and the hashes
@@ -171,7 +171,7 @@ def working(wanted: str | None) -> Iterator[ListedDevice]:
 
 def markdown(found: dict[str, dict[tuple[str, str], Count]], texts: dict[str, str]) -> str:
     """The counts as a page: a row for each scene and rung, a column for each runtime."""
-    lines = ["# Hashes of AOVs on other runtimes", "", "Made by `python tools/hashes.py --markdown docs/hashes.md`.",
+    lines = ["# Hashes of AOVs on other runtimes", "", "Made by `python tools/hashes.py --markdown data/golden/aov_hashes.md`.",
              "Each cell: images (`id.prim`, `Z`, RGBA by every method) with the bytes of",
              "`data/golden/aov_hashes.json`, of all that the runtime renders. `double` needs a device with float64.",
              ""]  # fmt: skip
