@@ -7,13 +7,13 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import reference as ref
-from classify_visibility import Classifier, classify, depth_errors
-from double_hits import double_hits, hit_counts
-from float32_bounds import Float32Bounds
 from float32_twin import RUNGS, columns, dot, edge_parts, hits, minus, render_twin
-from mesh_topology import Topology
 
+from clrast.study.classify_visibility import Classifier, classify, depth_errors
+from clrast.study.double_hits import double_hits, hit_counts
 from clrast.study.exact_visibility import NO_HIT, exact_visibility
+from clrast.study.float32_bounds import Float32Bounds
+from clrast.study.mesh_topology import Topology
 
 PERSPECTIVE = {"e": [0, 0, 0], "d0": [-0.5, 0.5, -1], "dx": [0.125, 0, 0], "dy": [0, -0.125, 0]}
 SIZE = 8

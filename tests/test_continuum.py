@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from classify_visibility import classify
 from continuum_world import (
     MADE_UP,
     REFERENCE,
@@ -38,6 +37,7 @@ from clrast.opencl.layout import EMPTY_CHILD, LEAF_BIT, NODE_WIDTH
 from clrast.options import AVAILABLE_PRECISIONS
 from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Scene
+from clrast.study.classify_visibility import classify
 from clrast.study.exact_visibility import exact_visibility
 from clrast.visibility import frusta
 from clrast.visibility.loop_limits import loop_limit

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import reference as ref
-from classify_visibility import Classifier, classify
-from double_hits import double_hits
 from edge_error import U, edge_error, permanent
 from kernel_probe import Probe
 from kernel_world import NO_HIT, coverage, make_scene, orthographic, perspective, render, render_ids
@@ -19,6 +17,8 @@ from clrast.opencl.device import Device
 from clrast.opencl.features import Precision, Projection
 from clrast.scene.camera import CameraVectors, camera_vectors
 from clrast.scene.model import Camera, Scene
+from clrast.study.classify_visibility import Classifier, classify
+from clrast.study.double_hits import double_hits
 from clrast.study.exact_visibility import exact_visibility
 
 SIZE = 64

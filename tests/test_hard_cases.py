@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import reference as ref
-from classify_visibility import Classification, classify
 from edge_error import near_edges
 from kernel_world import NO_HIT, make_scene, orthographic, perspective, render, render_ids
 
 from clrast.opencl.device import Device
 from clrast.scene.camera import CameraVectors, camera_vectors
 from clrast.scene.model import Camera, Scene
+from clrast.study.classify_visibility import Classification, classify
 from clrast.study.exact_visibility import exact_visibility
 
 VIEWS = [("perspective", "fast"), ("perspective", "ordered"), ("perspective", "midpoint"), ("orthographic", "midpoint")]

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from classify_visibility import Classification, Difference, classify
 from edge_twins import Setup, ViewTwin
 from edge_worlds import KINDS, METHODS, blob, crossing, edge_on, probe, sheet, thin, view_of
 from kernel_world import NO_HIT, make_scene, orthographic, perspective, render
@@ -22,6 +21,7 @@ from clrast.opencl.device import Device
 from clrast.opencl.features import Edges, Features
 from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Scene
+from clrast.study.classify_visibility import Classification, Difference, classify
 from clrast.study.exact_visibility import exact_visibility
 from clrast.study.linear_forms import IntegerForms
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from classify_visibility import Difference, classify
 from edge_error import near_edges
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -18,6 +17,7 @@ from clrast.opencl import layout
 from clrast.opencl.device import Device
 from clrast.scene.camera import CameraVectors, camera_vectors
 from clrast.scene.model import Camera, Scene
+from clrast.study.classify_visibility import Difference, classify
 from clrast.study.exact_visibility import exact_visibility
 from clrast.study.linear_forms import float_forms
 

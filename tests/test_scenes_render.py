@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from classify_visibility import classify
 
 import clrast
 from clrast.__main__ import main
 from clrast.image.frame import CHANNEL_GROUPS, Frame
 from clrast.scene.model import Scene
+from clrast.study.classify_visibility import classify
 from clrast.study.exact_visibility import exact_visibility
 
 ROOT = Path(__file__).resolve().parents[1]

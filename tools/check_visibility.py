@@ -6,9 +6,9 @@
     python tools/check_visibility.py a.glb --view nave:-10,-9,0:10,-8,0:70 --renderer midpoint
 
 What is right comes from clrast/study/exact_visibility.py, which shares nothing with the kernels; what is wrong is
-named by tests/classify_visibility.py. Bars: no hole, no double hit along an edge; at most 1 sample in 20,000 given
-to the neighbour across an edge within float32 rounding; at most 1 in 100,000 anything else (holes, phantoms, farther
-surfaces, ties, fans); Z within 1e-5 relative; camera vectors within one float32 step of the definition.
+named by clrast/study/classify_visibility.py. Bars: no hole, no double hit along an edge; at most 1 sample in 20,000
+given to the neighbour across an edge within float32 rounding; at most 1 in 100,000 anything else (holes, phantoms,
+farther surfaces, ties, fans); Z within 1e-5 relative; camera vectors within one float32 step of the definition.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from classify_visibility import Classification, classify  # noqa: E402
-from double_hits import double_hits  # noqa: E402
 from float32_twin import RUNGS, render_twin  # noqa: E402
 from reference import camera_vectors_float64, round_camera  # noqa: E402
 
+from clrast.study.classify_visibility import Classification, classify  # noqa: E402
+from clrast.study.double_hits import double_hits  # noqa: E402
 from clrast.study.exact_visibility import ExactVisibility, exact_visibility  # noqa: E402
 
 SCENES = ("bunny.ply", "dragon.ply", "suzanne.obj", "teapot.obj", "sponza.glb", "sibenik.glb")

@@ -29,11 +29,11 @@ from fractions import Fraction
 from math import isqrt
 
 import numpy as np
-from float32_bounds import Float32Bounds
-from mesh_topology import Topology
 
 from clrast.study.exact_visibility import NO_HIT, ExactVisibility
+from clrast.study.float32_bounds import Float32Bounds
 from clrast.study.linear_forms import IntegerForms
+from clrast.study.mesh_topology import Topology
 
 LIMIT = 50_000
 WRONG_KINDS = ("fan", "tie", "hole", "farther", "phantom", "unexamined")

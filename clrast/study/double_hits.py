@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
-from classify_visibility import Classifier, Difference
 
+from clrast.study.classify_visibility import Classifier, Difference
 from clrast.study.exact_visibility import NO_HIT
 
 RenderIds = Callable[[np.ndarray], np.ndarray]
