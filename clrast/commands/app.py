@@ -20,6 +20,7 @@ VERBS = {
     "render": ("clrast.commands.render", "render_command", "Render a mesh or a scene card to EXR or PNG."),
     "diff": ("clrast.commands.diff", "diff_command", "What changed between two images, every part and channel."),
     "compare": ("clrast.commands.compare", "compare_command", "Every method on one scene: time, counts, a plot."),
+    "stress": ("clrast.commands.stress", "stress_command", "Hard cases by every method, against exact arithmetic."),
     "devices": ("clrast.commands.app", "devices_command", "The OpenCL devices, and whether each passes the self-test."),
 }
 """Verb -> module, function, summary."""
@@ -29,6 +30,7 @@ EXAMPLES = {
     "render": "clrast render bunny.ply -o bunny.exr -o bunny.png --size 640x480 --eye 0,0.1,0.4 --aov color,depth,id",
     "diff": "clrast diff reference.exr test.exr -o difference.png",
     "compare": "clrast compare bunny.ply -o bunny.svg --size 640x480 --repetitions 5",
+    "stress": "clrast stress --failures wrong -o stress.html",
     "devices": "clrast devices --json",
 }
 
@@ -36,7 +38,6 @@ PLANNED = {
     "explain": "clrast render INPUT --report",
     "cost": "clrast render INPUT --stats FILE.json",
     "accuracy": "clrast render INPUT --precision RUNG and clrast diff",
-    "stress": "clrast devices, which runs the self-test",
 }
 """Verbs of the design that this version lacks -> what to use instead."""
 
