@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from clrast.opencl.features import Edges
 from clrast.study.stress import PROMISES, REPRODUCE
-from clrast.study.wrong_samples import KINDS
+from clrast.study.wrong_samples import KINDS, VISIBLE
 from clrast.visibility.methods import METHODS
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def promise_lines(stress: Stress) -> list[str]:
         if precision not in PROMISES:
             continue
         wrong, samples = stress.total(precision)
-        if PROMISES[precision] == KINDS:
+        if PROMISES[precision] == VISIBLE:
             lines.append(f"{precision}: {wrong} wrong of {samples} samples")
         else:
             what = " and ".join(f"{kind}s" for kind in PROMISES[precision])

@@ -66,7 +66,8 @@ class HardCase:
         )
 
 
-Builder = Callable[[], tuple[Shape, Sequence[Camera]]]
+Built = tuple[Shape, Sequence[Camera]]
+Builder = Callable[[], Built]
 
 
 @dataclass(frozen=True)

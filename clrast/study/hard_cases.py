@@ -12,11 +12,11 @@ from pathlib import Path
 
 from clrast.errors import ClrastError
 from clrast.options import check_choice
-from clrast.study import hard_edges
+from clrast.study import hard_edges, hard_places, hard_rims, hard_shapes
 from clrast.study.hard_cards import card_text
 from clrast.study.hard_case import HardCase
 
-FAMILIES = (hard_edges,)
+FAMILIES = (hard_edges, hard_rims, hard_shapes, hard_places)
 RECIPES = {recipe.name: recipe for family in FAMILIES for recipe in family.FAMILY.recipes}
 
 

@@ -24,11 +24,12 @@ from clrast.study.exact_visibility import ExactVisibility, exact_visibility
 from clrast.study.hard_case import HardCase
 from clrast.study.hard_cases import REFUSALS, make_case
 from clrast.study.stress_views import View, views_of
-from clrast.study.wrong_samples import KINDS, judge
+from clrast.study.wrong_samples import DEPTH, KINDS, VISIBLE, judge
 from clrast.visibility.methods import AUTO, METHODS
 
-PROMISES: Mapping[str, tuple[str, ...]] = {"exact": KINDS, "midpoint": ("hole", "double hit")}
-"""Rung -> the kinds of wrong samples that it promises never to give; other rungs promise nothing."""
+PROMISES: Mapping[str, tuple[str, ...]] = {"exact": VISIBLE, "midpoint": ("hole", "double hit")}
+"""Rung -> the kinds of wrong samples that it promises never to give; others promise nothing, and Z is a float32 number
+by the same formula in all."""
 
 REPRODUCE = "clrast stress --case {case} --precision {precision} --method {method} --failures DIR"
 """The command that makes one case's wrong images again, with its cards."""
@@ -66,7 +67,8 @@ class Finding:
 
     @property
     def wrong_count(self) -> int:
-        return int(np.count_nonzero(self.kinds))
+        """Samples of one image that show the wrong triangle."""
+        return sum(n for kind, n in self.counts.items() if kind != DEPTH)
 
     @property
     def broken(self) -> dict[str, int]:

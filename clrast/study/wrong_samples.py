@@ -1,11 +1,12 @@
 """The wrong samples of an image by kind, against the exact answer:
 
-    hole            nothing, or a surface behind, along an edge that two triangles share, or inside a triangle
+    hole            nothing, or a surface behind, along an edge that two triangles share
     double hit      both triangles of a shared edge cover it, as parts of the scene rendered alone show
     wrong neighbour the triangle on the other side of a shared edge
     vertex          anything within rounding of two edges or three: round a vertex, or in a sliver
-    Z               the right triangle, and a depth that is more than a float32 step from the exact one
-    other           another surface (equal or nearly equal depths), or a silhouette or a border missed by rounding
+    unexplained     no rounding of an edge function or a depth explains it: as where a whole triangle is lost
+    other           another surface of nearly equal depth, or a silhouette or a border missed by rounding
+    Z               not the triangle is wrong but its depth, by more than a float32 step
 
 classify_visibility.py tells more places apart; here are those that people ask about.
 """
@@ -21,7 +22,10 @@ from clrast.scene.model import Scene
 from clrast.study.classify_visibility import Difference, classify
 from clrast.study.exact_visibility import NO_HIT, ExactVisibility
 
-KINDS = ("hole", "double hit", "wrong neighbour", "vertex", "Z", "other")
+KINDS = ("hole", "double hit", "wrong neighbour", "vertex", "unexplained", "other", "Z")
+DEPTH = "Z"
+VISIBLE = tuple(kind for kind in KINDS if kind != DEPTH)
+"""Kinds of samples that show the wrong triangle."""
 
 
 def judge(
@@ -39,9 +43,9 @@ def judge(
     kinds = np.zeros(prim_id.shape, dtype=np.uint8)
     details: Counter[tuple[str, str]] = Counter()
     wrong_depth = is_depth_wrong(exact, prim_id, depth)
-    kinds[wrong_depth] = 1 + KINDS.index("Z")
+    kinds[wrong_depth] = 1 + KINDS.index(DEPTH)
     if wrong_depth.any():
-        details["right", "Z"] = int(wrong_depth.sum())
+        details["right", DEPTH] = int(wrong_depth.sum())
     judged = classify(scene.positions, scene.triangles, vectors, exact, prim_id)
     details.update(judged.counts)
     kinds[prim_id != exact.prim_id] = 1 + KINDS.index("other")
@@ -61,9 +65,9 @@ def kind_of(one: Difference) -> str:
         return "wrong neighbour"
     if one.kind == "fan" or one.place in ("vertex", "sliver"):
         return "vertex"
-    if one.kind in ("hole", "farther") and one.place in ("edge", "elsewhere"):
-        return "hole"
-    return "other"
+    if one.place == "elsewhere":
+        return "unexplained"
+    return "hole" if one.kind in ("hole", "farther") and one.place == "edge" else "other"
 
 
 def is_depth_wrong(exact: ExactVisibility, prim_id: np.ndarray, depth: np.ndarray) -> np.ndarray:
