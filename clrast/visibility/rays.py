@@ -1,0 +1,223 @@
+"""Rays of any origin and direction through a scene: closest hit, any hit, and rays that leave a hit.
+
+The kernels are cl/trace_rays.cl, what they promise is said in cl/intersect_triangle.clh: hits and their order are
+those of real arithmetic, whatever the hierarchy, the vector width and the runtime.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clrast.errors import DeviceError, SceneError, UsageError
+from clrast.opencl import buffers, kernels
+from clrast.opencl.device import Device
+from clrast.opencl.features import Features, Precision, Projection
+from clrast.opencl.layout import NO_HIT
+from clrast.visibility.bvh import Bvh, build_bvh
+from clrast.visibility.frusta import stack_capacity
+from clrast.visibility.geometry import Geometry, build_geometry
+from clrast.visibility.loop_limits import loop_limit
+
+if TYPE_CHECKING:
+    import pyopencl as cl
+
+WORK_GROUP = 16
+
+MAX_COORDINATE = 2.0**60
+"""Of vertices and origins: products of three stay in float32's range."""
+
+MIN_DIRECTION, MAX_DIRECTION = 2.0**-60, 2.0**60
+"""Of a direction's largest component."""
+
+
+@dataclass(frozen=True)
+class RayHits:
+    """What rays hit first.
+
+    prim_id : (ray_count,) uint32, NO_HIT where there is nothing.
+    t : (ray_count,) float32, in lengths of the direction; +inf where there is nothing.
+    t_error : (ray_count,) float32, how far at most t is from its value in real arithmetic; 0 where there is nothing.
+    barycentrics : (ray_count, 3) float32, weights of vertices 0, 1, 2, not negative; 0 where there is nothing.
+    """
+
+    prim_id: np.ndarray
+    t: np.ndarray
+    t_error: np.ndarray
+    barycentrics: np.ndarray
+
+
+def ray_features(device: Device, bvh: Bvh) -> Features:
+    """The build options of a tracer over that hierarchy; `Geometry` must be made with them, at world_scale 1."""
+    return Features(
+        device.vector_width,
+        precision=Precision.EXACT,
+        projection=Projection.PERSPECTIVE,
+        float64=device.has_fp64,
+        leaf_order=True,
+        stack_capacity=stack_capacity(bvh.depth, 0),
+    )
+
+
+def make_tracer(device: Device, positions: np.ndarray, triangles: np.ndarray, bvh: Bvh | None = None) -> RayTracer:
+    """A tracer with geometry of its own.
+
+    positions : (vertex_count, 3) float32, world space. triangles : (triangle_count, 3) uint32. bvh : over the same
+    triangles, built where it is missing. Raises SceneError, CapacityError or DeviceError.
+    """
+    check_loops(device)
+    used = positions[np.unique(triangles)]
+    if not (np.abs(used) <= MAX_COORDINATE).all():
+        raise SceneError(f"a vertex lies farther than {MAX_COORDINATE:.0e} from 0, too far for rays: scale the scene")
+    bvh = bvh or build_bvh(positions, triangles)
+    features = ray_features(device, bvh)
+    return RayTracer(device, features, build_geometry(device, features, positions, triangles, 1.0, bvh))
+
+
+def check_loops(device: Device) -> None:
+    """Raise DeviceError where a driver ends long loops: a ray's walk, and exact arithmetic, may be long."""
+    if loop_limit(device) is not None:
+        raise DeviceError(f"{device.name} ends long loops early, and a ray may need them: use --device pocl")
+
+
+class RayTracer:
+    """Rays against one scene; every method waits.
+
+    features : of `ray_features`. geometry : built with these, at world_scale 1, with its hierarchy.
+    Raises DeviceError on drivers that limit loops.
+    """
+
+    def __init__(self, device: Device, features: Features, geometry: Geometry) -> None:
+        check_loops(device)
+        bvh = geometry.bvh
+        if bvh is None or geometry.prims is None or geometry.world_positions is None:
+            raise UsageError("rays need a geometry with a BVH, in the order of its leaves, of precision 'exact'")
+        self.device, self.features, self.geometry = device, features, geometry
+        self._program = kernels.build(device, "trace_rays.cl", features)
+        self._scene = {
+            "corners": geometry.corners,
+            "prims": geometry.prims,
+            "children": buffers.upload(device, bvh.children),
+            "slot_counts": buffers.upload(device, bvh.counts),
+            "node_boxes": buffers.upload(device, bvh.boxes),
+        }
+        self._vertices = {"positions": geometry.world_positions, "indices": geometry.indices}
+
+    def closest(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        t_min: np.ndarray | float = 0.0,
+        t_max: np.ndarray | float = np.inf,
+        excluded: np.ndarray | None = None,
+    ) -> RayHits:
+        """The first hits with t_min < t < t_max.
+
+        origins, directions : (ray_count, 3) float32, world space; directions of any length. t_min, t_max :
+        (ray_count,) float32 or one number, in lengths of the direction. excluded : (ray_count,) uint32, a prim_id
+        that each ray passes through, or NO_HIT. Raises UsageError for rays that are not finite or out of range.
+        """
+        count, rays = self._upload(origins, directions, t_min, t_max, excluded)
+        made = {
+            "prims_hit": buffers.create(self.device, 4 * count),
+            "distances": buffers.create(self.device, 8 * count),
+            "weights": buffers.create(self.device, 16 * count),
+        }
+        self._launch("trace_closest", count, **rays, **self._scene, **self._vertices, **made)
+        prim_id = buffers.download(self.device, made["prims_hit"], np.uint32, count)
+        distances = buffers.download(self.device, made["distances"], np.float32, (count, 2))
+        weights = buffers.download(self.device, made["weights"], np.float32, (count, 4))
+        return RayHits(prim_id, distances[:, 0], distances[:, 1], weights[:, :3])
+
+    def any(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        t_min: np.ndarray | float = 0.0,
+        t_max: np.ndarray | float = np.inf,
+        excluded: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """(ray_count,) bool: whether there is a hit with t_min < t < t_max; arguments as of `closest`."""
+        count, rays = self._upload(origins, directions, t_min, t_max, excluded)
+        occluded = buffers.create(self.device, 4 * count)
+        self._launch("trace_any", count, **rays, **self._scene, occluded=occluded)
+        return buffers.download(self.device, occluded, np.uint32, count) != 0
+
+    def leave(self, prim_id: np.ndarray, barycentrics: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Where rays start that leave points of triangles: (ray_count, 3) float32, world space.
+
+        prim_id : (ray_count,) uint32. barycentrics : (ray_count, 3) float32 of the points. directions : (ray_count, 3)
+        float32 of the rays that leave. An origin lies strictly on the side of the triangle's plane that the direction
+        points to (along the plane: on the side of its normal). Give prim_id as `excluded` to the ray. Raises
+        UsageError for a prim_id that is none, and SceneError for a triangle without area.
+        """
+        prims = np.ascontiguousarray(prim_id, dtype=np.uint32)
+        directions = _vectors("directions", directions, len(prims))
+        weights = _vectors("barycentrics", barycentrics, len(prims))
+        if len(prims) and int(prims.max()) >= self.geometry.triangle_count:
+            raise UsageError(f"rays can leave prim_id 0 to {self.geometry.triangle_count - 1}, not {prims.max()}")
+        _check_directions(directions)
+        origins = buffers.create(self.device, 16 * len(prims))
+        self._launch(
+            "offset_origins",
+            len(prims),
+            prims_left=buffers.upload(self.device, prims),
+            weights=buffers.upload(self.device, _padded(weights, 0.0)),
+            directions=buffers.upload(self.device, _padded(directions, 0.0)),
+            **self._vertices,
+            origins=origins,
+        )
+        found = buffers.download(self.device, origins, np.float32, (len(prims), 4))
+        if not found[:, 3].all():
+            raise SceneError(f"triangle {prims[np.argmin(found[:, 3])]} has no area: no ray can leave it")
+        return found[:, :3]
+
+    def _upload(
+        self, origins: Any, directions: Any, t_min: Any, t_max: Any, excluded: np.ndarray | None
+    ) -> tuple[int, dict[str, cl.Buffer]]:
+        count = len(origins)
+        origins, directions = _vectors("origins", origins, count), _vectors("directions", directions, count)
+        if not (np.abs(origins) <= MAX_COORDINATE).all():
+            raise UsageError(f"an origin of a ray lies farther than {MAX_COORDINATE:.0e} from 0: scale the scene")
+        _check_directions(directions)
+        low, high = np.asarray(t_min, dtype=np.float32), np.asarray(t_max, dtype=np.float32)
+        if not (low >= 0).all() or np.isnan(high).any():
+            raise UsageError("t_min of a ray must be 0 or more, and t_max a number")
+        if excluded is None:
+            excluded = np.full(count, NO_HIT, dtype=np.uint32)
+        if len(excluded) != count:
+            raise UsageError(f"{count} rays need as many excluded prim_ids, not {len(excluded)}")
+        return count, {
+            "origins": buffers.upload(self.device, _padded(origins, low)),
+            "directions": buffers.upload(self.device, _padded(directions, high)),
+            "excluded": buffers.upload(self.device, np.ascontiguousarray(excluded, dtype=np.uint32)),
+        }
+
+    def _launch(self, kernel: str, count: int, **arguments: Any) -> None:
+        if count:
+            items = -(-count // WORK_GROUP) * WORK_GROUP
+            self._program.launch(kernel, items, WORK_GROUP, ray_count=count, **arguments)
+            self.device.queue.finish()
+
+
+def _vectors(name: str, values: Any, count: int) -> np.ndarray:
+    found = np.asarray(values, dtype=np.float32)
+    if found.shape != (count, 3):
+        raise UsageError(f"{name} of {count} rays are {count} x 3 numbers, not {' x '.join(map(str, found.shape))}")
+    return found
+
+
+def _check_directions(directions: np.ndarray) -> None:
+    size = np.abs(directions).max(axis=1, initial=0.0)
+    if not ((size >= MIN_DIRECTION) & (size <= MAX_DIRECTION)).all():
+        raise UsageError(f"a ray's direction must have a size within {MIN_DIRECTION:.0e} and {MAX_DIRECTION:.0e}")
+
+
+def _padded(vectors: np.ndarray, last: Any) -> np.ndarray:
+    """(count, 4) float32: vectors, and `last` beside them."""
+    out = np.zeros((len(vectors), 4), dtype=np.float32)
+    out[:, :3] = vectors
+    out[:, 3] = last
+    return out
