@@ -240,6 +240,9 @@ def arguments_from_source(source: str, kernel: str) -> list[Argument]:
 SCALAR_PROGRAMS = ("prepare_triangles.cl", "shade_hits.cl", "settle_contenders.cl")
 """Programs whose work-items are the lanes: vectors have one lane there, and edges are 3D, whatever decides samples."""
 
+RAY_PROGRAMS = ("trace_rays.cl",)
+"""Programs for rays of no camera, whatever decides samples: always exact, each ray a perspective sample of its own."""
+
 
 def build(device: Device, name: str, features: Features | None = None, folder: Path | None = None) -> Program:
     """The program of `cl/<name>` for this device, built at most once for the features that it reads.
@@ -250,6 +253,10 @@ def build(device: Device, name: str, features: Features | None = None, folder: P
     features = features or Features(vector_width=device.vector_width)
     if name in SCALAR_PROGRAMS:
         features = replace(features, vector_width=1, edges=Edges.SPATIAL)
+    if name in RAY_PROGRAMS:
+        features = replace(
+            features, precision=Precision.EXACT, projection=Projection.PERSPECTIVE, edges=Edges.SPATIAL, evaluation=0
+        )
     defines = features.defines(source)
     key = (name, source, defines)
     program = device.programs.get(key)

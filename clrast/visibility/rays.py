@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 WORK_GROUP = 16
 
+MIN_STACK = 128
+"""Entries of a ray's stack at least, so that all but the deepest hierarchies share one program."""
+
 MAX_COORDINATE = 2.0**60
 """Of vertices and origins: products of three stay in float32's range."""
 
@@ -57,7 +60,7 @@ def ray_features(device: Device, bvh: Bvh) -> Features:
         projection=Projection.PERSPECTIVE,
         float64=device.has_fp64,
         leaf_order=True,
-        stack_capacity=stack_capacity(bvh.depth, 0),
+        stack_capacity=max(MIN_STACK, stack_capacity(bvh.depth, 0)),
     )
 
 
@@ -68,6 +71,8 @@ def make_tracer(device: Device, positions: np.ndarray, triangles: np.ndarray, bv
     triangles, built where it is missing. Raises SceneError, CapacityError or DeviceError.
     """
     check_loops(device)
+    if len(triangles) == 0:
+        raise SceneError("rays need a scene, and this one has no triangle")
     used = positions[np.unique(triangles)]
     if not (np.abs(used) <= MAX_COORDINATE).all():
         raise SceneError(f"a vertex lies farther than {MAX_COORDINATE:.0e} from 0, too far for rays: scale the scene")

@@ -1,0 +1,158 @@
+"""Meshes and rays for the tests of cl/trace_rays.cl and tools/check_rays.py; nothing here says what is right.
+
+A mesh is (positions (vertex_count, 3) float32, triangles (triangle_count, 3) uint32).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from clrast.opencl.layout import EMPTY_CHILD, LEAF_BIT, NODE_WIDTH
+from clrast.visibility.bvh import Bvh
+
+Mesh = tuple[np.ndarray, np.ndarray]
+Rays = tuple[np.ndarray, np.ndarray]
+
+TARGETS = ("random", "edges", "vertices")
+FAR_CENTER = (148376.0, 1234.0, -223423.0)
+"""Where Embree's tests put a sphere that is far from the origin."""
+
+EXPONENTS = (-8.0, 8.0)
+"""Of ten: coordinates of the reintersection test."""
+
+
+def icosphere(levels: int) -> Mesh:
+    """A unit sphere of 20 * 4**levels triangles, edges halved `levels` times; convex but for rounding."""
+    golden = (1 + 5**0.5) / 2
+    points = np.array([[s, t * golden, 0.0] for s in (-1, 1) for t in (-1, 1)])
+    points = np.concatenate([np.roll(points, k, axis=1) for k in range(3)])
+    near = [(i, j, k) for i in range(12) for j in range(i) for k in range(j)]
+    lengths = np.linalg.norm(points[:, None] - points, axis=2)
+    faces = [f for f in near if max(lengths[f[0], f[1]], lengths[f[1], f[2]], lengths[f[2], f[0]]) < 2.1]
+    triangles = np.array([f if np.linalg.det(points[list(f)]) > 0 else f[::-1] for f in faces])
+    for _ in range(levels):
+        ends = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+        edges, which = np.unique(ends, axis=0, return_inverse=True)
+        middle = len(points) + which.reshape(3, -1).T
+        points = np.concatenate([points, points[edges].sum(axis=1)])
+        a, b, c = triangles.T
+        ab, bc, ca = middle.T
+        triangles = np.concatenate([np.stack(f, axis=1) for f in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+        points /= np.linalg.norm(points, axis=1)[:, None]
+    return (points / np.linalg.norm(points, axis=1)[:, None]).astype(np.float32), triangles.astype(np.uint32)
+
+
+def bumpy_sphere(seed: int, side: int = 16, bumps: float = 0.2) -> Mesh:
+    """A closed sphere of side * side squares in latitude and longitude, radii within 1 +- bumps; pbrt's test has it."""
+    rng = np.random.default_rng(seed)
+    theta = np.arange(1, side) * np.pi / side
+    phi = np.arange(side) * 2 * np.pi / side
+    ring = np.stack(
+        [np.outer(np.sin(theta), np.cos(phi)), np.outer(np.sin(theta), np.sin(phi)), np.outer(np.cos(theta), phi * 0 + 1)],
+        axis=2,
+    ).reshape(-1, 3)
+    ring *= rng.uniform(1 - bumps, 1 + bumps, (len(ring), 1))
+    points = np.concatenate([ring, [[0, 0, 1], [0, 0, -1]]])
+    north, south = len(ring), len(ring) + 1
+    faces = []
+    for j in range(side):
+        k = (j + 1) % side
+        faces += [(north, j, k), (south, (side - 2) * side + k, (side - 2) * side + j)]
+        for i in range(side - 2):
+            faces += [(i * side + j, (i + 1) * side + j, (i + 1) * side + k), (i * side + j, (i + 1) * side + k, i * side + k)]
+    return points.astype(np.float32), np.array(faces, dtype=np.uint32)
+
+
+def placed(mesh: Mesh, scale: float, center: Sequence[float] = (0, 0, 0)) -> Mesh:
+    """The mesh scaled, then moved; rounded once."""
+    return (mesh[0].astype(np.float64) * scale + np.asarray(center, dtype=np.float64)).astype(np.float32), mesh[1]
+
+
+def lattice_soup(count: int, seed: int, reach: int = 4) -> Mesh:
+    """Triangles with whole coordinates: shared planes, edges and corners, copies, some without area."""
+    rng = np.random.default_rng(seed)
+    corners = rng.integers(-reach, reach + 1, (count, 3, 3)).astype(np.float32)
+    corners[: count // 3, :, rng.integers(0, 3)] = rng.integers(-reach, reach + 1, (count // 3, 1))
+    corners[-count // 6 :] = corners[: count // 6 + (count % 6 > 0)][:, [1, 2, 0]]
+    return corners.reshape(-1, 3), np.arange(3 * count, dtype=np.uint32).reshape(-1, 3)
+
+
+def lattice_rays(count: int, seed: int, reach: int = 5) -> Rays:
+    """Origins and directions of whole numbers: many rays pass edges, corners and planes exactly."""
+    rng = np.random.default_rng(seed)
+    origins = rng.integers(-reach, reach + 1, (count, 3))
+    directions = rng.integers(-2, 3, (count, 3))
+    directions[(directions == 0).all(axis=1)] = (0, 0, 1)
+    return origins.astype(np.float32), directions.astype(np.float32)
+
+
+def targets(mesh: Mesh, kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(count, 3) float64 points of the surface: anywhere, on edges or on vertices."""
+    corners = mesh[0].astype(np.float64)[mesh[1][rng.integers(0, len(mesh[1]), count)]]
+    if kind == "vertices":
+        return corners[:, 0]
+    weights = rng.dirichlet((1, 1, 1), count)
+    if kind == "edges":
+        weights[:, 2] = 0.0
+        weights[: count // 2, :2] = 0.5
+        weights[count // 2 :, 1] = 1.0 - weights[count // 2 :, 0]
+    return (weights[:, :, None] * corners).sum(axis=1)
+
+
+def kernel_radius(mesh: Mesh) -> float:
+    """Radius of the largest ball round the centre of all vertices that lies inside of every triangle's plane.
+
+    From a point of it each direction meets the surface once, so that no triangle is seen edge-on.
+    """
+    corners = mesh[0].astype(np.float64)[mesh[1]] - mesh[0].astype(np.float64).mean(axis=0)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return float(((normals * corners[:, 0]).sum(axis=1) / np.linalg.norm(normals, axis=1)).min())
+
+
+def rays_from_inside(mesh: Mesh, kind: str, count: int, rng: np.random.Generator, reach: float) -> Rays:
+    """Origins within `reach` of the centre of all vertices; a quarter of them is the very centre."""
+    center = mesh[0].astype(np.float64).mean(axis=0)
+    origins = rng.normal(size=(count, 3))
+    origins *= reach * rng.random((count, 1)) / np.linalg.norm(origins, axis=1)[:, None]
+    origins[: count // 4] = 0
+    origins = (origins + center).astype(np.float32)
+    return origins, (targets(mesh, kind, count, rng) - origins).astype(np.float32)
+
+
+def rays_from_outside(mesh: Mesh, kind: str, count: int, rng: np.random.Generator, reach: float) -> Rays:
+    """Rays whose lines pass within `reach` of the centre, in through a target at t = 1, from 2 to 10 times as far."""
+    center = mesh[0].astype(np.float64).mean(axis=0)
+    inner = rng.normal(size=(count, 3))
+    inner = center + reach * rng.random((count, 1)) * inner / np.linalg.norm(inner, axis=1)[:, None]
+    at = targets(mesh, kind, count, rng)
+    origins = (inner + (at - inner) * rng.uniform(2, 10, (count, 1))).astype(np.float32)
+    return origins, (at - origins).astype(np.float32)
+
+
+def scaled_numbers(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    """Numbers of either sign, their sizes 10 to the power of anything within EXPONENTS: float32."""
+    return (rng.choice([-1.0, 1.0], shape) * 10.0 ** rng.uniform(*EXPONENTS, shape)).astype(np.float32)
+
+
+def leaving_directions(origins: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(count, 3) float32: half of them anywhere, half towards points at any scale."""
+    directions = rng.normal(size=origins.shape).astype(np.float32)
+    half = len(origins) // 2
+    towards = scaled_numbers(rng, (half, 3)) - origins[:half]
+    towards[(towards == 0).all(axis=1)] = 1
+    directions[:half] = towards
+    return directions
+
+
+def one_leaf(mesh: Mesh) -> Bvh:
+    """A hierarchy that is none: one leaf with everything, so that a tracer goes by brute force."""
+    children = np.full((1, NODE_WIDTH), EMPTY_CHILD, dtype=np.uint32)
+    counts = np.zeros_like(children)
+    boxes = np.full((1, 6, NODE_WIDTH), np.inf, dtype=np.float32)
+    boxes[:, 3:] = -np.inf
+    children[0, 0], counts[0, 0] = LEAF_BIT, len(mesh[1])
+    used = mesh[0][mesh[1]].reshape(-1, 3)
+    boxes[0, :3, 0], boxes[0, 3:, 0] = used.min(axis=0), used.max(axis=0)
+    return Bvh(children, counts, boxes, np.arange(len(mesh[1]), dtype=np.uint32), ((0, 1),))
