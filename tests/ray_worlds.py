@@ -9,8 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from clrast.opencl.layout import EMPTY_CHILD, LEAF_BIT, NODE_WIDTH
+from clrast.opencl.device import Device
+from clrast.opencl.layout import EMPTY_CHILD, LEAF_BIT, NO_HIT, NODE_WIDTH
 from clrast.visibility.bvh import Bvh
+from clrast.visibility.rays import RayTracer, make_tracer
 
 Mesh = tuple[np.ndarray, np.ndarray]
 Rays = tuple[np.ndarray, np.ndarray]
@@ -44,15 +46,28 @@ def icosphere(levels: int) -> Mesh:
     return (points / np.linalg.norm(points, axis=1)[:, None]).astype(np.float32), triangles.astype(np.uint32)
 
 
+def tilted_box() -> Mesh:
+    """A cube of 12 triangles, turned so that no face lies along an axis; faces meet at 90 degrees."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+    turn = np.array([[2.0, -1, 2], [2, 2, -1], [-1, 2, 2]]) / 3
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))]
+    return (corners @ turn).astype(np.float32), np.array(faces, dtype=np.uint32)
+
+
+def tetrahedron() -> Mesh:
+    """Four triangles that meet at 50 to 80 degrees."""
+    points = np.array([[0, 0, 0], [1, 0.01, 0.02], [0.03, 1.1, 0.1], [0.2, 0.25, 0.8]], dtype=np.float32)
+    return points, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], dtype=np.uint32)
+
+
 def bumpy_sphere(seed: int, side: int = 16, bumps: float = 0.2) -> Mesh:
     """A closed sphere of side * side squares in latitude and longitude, radii within 1 +- bumps; pbrt's test has it."""
     rng = np.random.default_rng(seed)
     theta = np.arange(1, side) * np.pi / side
     phi = np.arange(side) * 2 * np.pi / side
-    ring = np.stack(
-        [np.outer(np.sin(theta), np.cos(phi)), np.outer(np.sin(theta), np.sin(phi)), np.outer(np.cos(theta), phi * 0 + 1)],
-        axis=2,
-    ).reshape(-1, 3)
+    x, y = np.outer(np.sin(theta), np.cos(phi)), np.outer(np.sin(theta), np.sin(phi))
+    ring = np.stack([x, y, np.outer(np.cos(theta), np.ones(side))], axis=2).reshape(-1, 3)
     ring *= rng.uniform(1 - bumps, 1 + bumps, (len(ring), 1))
     points = np.concatenate([ring, [[0, 0, 1], [0, 0, -1]]])
     north, south = len(ring), len(ring) + 1
@@ -61,7 +76,8 @@ def bumpy_sphere(seed: int, side: int = 16, bumps: float = 0.2) -> Mesh:
         k = (j + 1) % side
         faces += [(north, j, k), (south, (side - 2) * side + k, (side - 2) * side + j)]
         for i in range(side - 2):
-            faces += [(i * side + j, (i + 1) * side + j, (i + 1) * side + k), (i * side + j, (i + 1) * side + k, i * side + k)]
+            here, below = i * side, (i + 1) * side
+            faces += [(here + j, below + j, below + k), (here + j, below + k, here + k)]
     return points.astype(np.float32), np.array(faces, dtype=np.uint32)
 
 
@@ -144,6 +160,51 @@ def leaving_directions(origins: np.ndarray, rng: np.random.Generator) -> np.ndar
     towards[(towards == 0).all(axis=1)] = 1
     directions[:half] = towards
     return directions
+
+
+def lost_in_bounces(
+    tracer: RayTracer, mesh: Mesh, kind: str, count: int, rng: np.random.Generator, bounces: int = 4
+) -> tuple[int, int]:
+    """(rays traced, rays lost) from inside a closed mesh whose normals point outwards, with diffuse bounces inside.
+
+    Lost: it hits nothing, or a face from outside.
+    """
+    corners = mesh[0].astype(np.float64)[mesh[1]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    origins, directions = rays_from_inside(mesh, kind, count, rng, 0.3 * kernel_radius(mesh))
+    excluded, traced, lost = None, 0, 0
+    for _ in range(1 + bounces):
+        hits = tracer.closest(origins, directions, excluded=excluded)
+        traced += len(origins)
+        kept = hits.prim_id != NO_HIT
+        prims = hits.prim_id[kept]
+        outwards = (directions[kept].astype(np.float64) * normals[prims]).sum(axis=1) > 0
+        lost += len(origins) - int(outwards.sum())
+        excluded, weights = prims[outwards], hits.barycentrics[kept][outwards]
+        towards = rng.normal(size=(len(excluded), 3))
+        towards *= -np.sign((towards * normals[excluded]).sum(axis=1))[:, None]
+        directions = towards.astype(np.float32)
+        origins = tracer.leave(excluded, weights, directions)
+    return traced, lost
+
+
+def reintersections(device: Device, shape_count: int, ray_count: int, rng: np.random.Generator) -> tuple[int, int]:
+    """(rays that left, those that hit what they had left): one triangle of any scale at a time, nothing excluded.
+
+    As in pbrt's test: a ray from anywhere to a point of the triangle, then one from the hit in any direction.
+    """
+    left = again = 0
+    for _ in range(shape_count):
+        mesh = scaled_numbers(rng, (3, 3)), np.array([[0, 1, 2]], dtype=np.uint32)
+        tracer = make_tracer(device, *mesh)
+        origins = scaled_numbers(rng, (ray_count, 3))
+        hits = tracer.closest(origins, targets(mesh, "random", ray_count, rng) - origins)
+        hit = hits.prim_id != NO_HIT
+        directions = leaving_directions(origins[hit], rng)
+        starts = tracer.leave(hits.prim_id[hit], hits.barycentrics[hit], directions)
+        left += len(starts)
+        again += int(tracer.any(starts, directions).sum())
+    return left, again
 
 
 def one_leaf(mesh: Mesh) -> Bvh:

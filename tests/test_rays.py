@@ -17,13 +17,16 @@ from ray_worlds import (
     kernel_radius,
     lattice_rays,
     lattice_soup,
-    leaving_directions,
+    lost_in_bounces,
     one_leaf,
     placed,
     rays_from_inside,
     rays_from_outside,
+    reintersections,
     scaled_numbers,
     targets,
+    tetrahedron,
+    tilted_box,
 )
 from reference import all_hits, exact_triangles, general_ray, vector
 
@@ -223,26 +226,8 @@ def test_the_leak_test_sees_a_missing_triangle(device: Device) -> None:
 # --- rays that leave --------------------------------------------------------------------------------
 
 
-def reintersections(device: Device, shape_count: int, ray_count: int, seed: int) -> tuple[int, int]:
-    """(rays that left, those that hit what they had left): one triangle of any scale at a time, nothing excluded."""
-    rng = np.random.default_rng(seed)
-    left = again = 0
-    for _ in range(shape_count):
-        mesh = scaled_numbers(rng, (3, 3)), np.array([[0, 1, 2]], dtype=np.uint32)
-        tracer = make_tracer(device, *mesh)
-        origins = scaled_numbers(rng, (ray_count, 3))
-        hits = tracer.closest(origins, targets(mesh, "random", ray_count, rng) - origins)
-        hit = hits.prim_id != NO_HIT
-        weights = hits.barycentrics[hit]
-        directions = leaving_directions(origins[hit], rng)
-        starts = tracer.leave(hits.prim_id[hit], weights, directions)
-        left += len(starts)
-        again += int(tracer.any(starts, directions).sum())
-    return left, again
-
-
 def test_no_ray_hits_what_it_leaves(device: Device) -> None:
-    left, again = reintersections(device, 60, 500, 23)
+    left, again = reintersections(device, 60, 500, np.random.default_rng(23))
     assert left > 60 * 500 * 0.8
     assert again == 0
 
@@ -257,6 +242,20 @@ def test_without_the_offset_rays_do_hit_what_they_leave(device: Device) -> None:
     outwards = rng.normal(size=points.shape).astype(np.float32)
     outwards *= np.sign((outwards * points).sum(axis=1))[:, None]
     assert tracer.any(points, outwards).sum() > 200
+
+
+@pytest.mark.parametrize("name", ["tilted box", "tetrahedron", "far box", "icosphere"])
+def test_rays_that_bounce_inside_a_closed_mesh_stay_inside(device: Device, name: str) -> None:
+    mesh = {
+        "tilted box": tilted_box(),
+        "tetrahedron": tetrahedron(),
+        "far box": placed(tilted_box(), 2.0, FAR_CENTER),
+        "icosphere": icosphere(2),
+    }[name]
+    tracer = make_tracer(device, *mesh)
+    for kind in TARGETS:
+        traced, lost = lost_in_bounces(tracer, mesh, kind, 2000, np.random.default_rng(28))
+        assert (traced, lost) == (10000, 0), f"at {kind}"
 
 
 @pytest.mark.parametrize("scale", [1e-8, 1e-4, 1.0, 1e4, 1e8])
