@@ -78,7 +78,10 @@ INLINE int_v end_center(float_v high, float center, uint size) {
 typedef struct { float_v x, y, depth; int_v crossing, behind; } ScreenPoint;
 
 INLINE ScreenPoint project_point(Vec3 p, View view) {
-  const Vec3 r = subtract(p, broadcast(view.origin));
+  Vec3 r = subtract(p, broadcast(view.origin));
+#if PROJECTION == PROJECTION_ORTHOGRAPHIC
+  r = subtract(r, broadcast(view.origin_low));
+#endif
   ScreenPoint point;
   point.x = dot3s(r, view.inverse_x);
   point.y = dot3s(r, view.inverse_y);
