@@ -58,6 +58,7 @@ static bool meet_leaf(const Hierarchy *h, Ray ray, uint first, uint end, bool an
     uint slots[VECTOR_WIDTH];
     for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) slots[lane] = min(k + lane, end - 1);
     const TriangleHits found = intersect_triangles(gather_triangles(h->corners, slots), ray);
+    if (!has_lane(found.hit | found.open)) continue;
     const int_v wanted = (found.hit | found.open) & (found.t > ray.t_min) & (found.t < ray.t_max) &
                          (found.low <= best->high) & (LANES < (int)(end - k));
     ulong mask = LANE_MASK(wanted);

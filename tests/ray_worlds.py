@@ -46,13 +46,19 @@ def icosphere(levels: int) -> Mesh:
     return (points / np.linalg.norm(points, axis=1)[:, None]).astype(np.float32), triangles.astype(np.uint32)
 
 
-def tilted_box() -> Mesh:
-    """A cube of 12 triangles, turned so that no face lies along an axis; faces meet at 90 degrees."""
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
-    turn = np.array([[2.0, -1, 2], [2, 2, -1], [-1, 2, 2]]) / 3
+def box() -> Mesh:
+    """The cube between -1 and 1, 12 triangles: from its centre, edges and vertices are met exactly."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float32)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))]
-    return (corners @ turn).astype(np.float32), np.array(faces, dtype=np.uint32)
+    return corners, np.array(faces, dtype=np.uint32)
+
+
+def tilted_box() -> Mesh:
+    """The box turned so that no face lies along an axis."""
+    corners, faces = box()
+    turn = np.array([[2.0, -1, 2], [2, 2, -1], [-1, 2, 2]]) / 3
+    return (corners.astype(np.float64) @ turn).astype(np.float32), faces
 
 
 def tetrahedron() -> Mesh:

@@ -12,6 +12,7 @@ from ray_worlds import (
     TARGETS,
     Mesh,
     Rays,
+    box,
     bumpy_sphere,
     icosphere,
     kernel_radius,
@@ -191,6 +192,7 @@ def closed_meshes() -> dict[str, Mesh]:
         "icosphere 1e-8": placed(icosphere(3), 1e-8),
         "icosphere 1e8": placed(icosphere(3), 1e8),
         "icosphere far away": placed(icosphere(3), 2.0, FAR_CENTER),
+        "box": box(),
         "bumpy sphere": bumpy_sphere(20, bumps=0.04),
         "bumpy sphere far away": placed(bumpy_sphere(20, bumps=0.04), 2.0, FAR_CENTER),
     }
@@ -208,12 +210,23 @@ def test_no_ray_leaks_into_or_out_of_a_closed_mesh(device: Device, name: str) ->
     reach = kernel_radius(mesh)
     assert reach > 0.1 * size
     for kind in TARGETS:
-        inside = rays_from_inside(mesh, kind, 4000, rng, 0.4 * size)
-        assert (tracer.closest(*inside).prim_id != NO_HIT).all(), f"from inside at {kind}"
+        inside = rays_from_inside(mesh, kind, 4000, rng, 0.9 * reach)
+        first = tracer.closest(*inside).prim_id
+        assert (first != NO_HIT).all(), f"from inside at {kind}"
         assert tracer.any(*inside).all()
+        assert not tracer.any(*inside, excluded=first).any(), f"each meets the surface once, also at {kind}"
         outside = rays_from_outside(mesh, kind, 4000, rng, 0.9 * reach)
         # The target is at 1, where the line comes nearest to the centre over 1.1, and the far side beyond that.
         assert (tracer.closest(*outside).t < 1.05).all(), f"from outside at {kind}"
+
+
+def test_no_ray_leaks_out_of_a_rough_sphere(device: Device) -> None:
+    mesh = bumpy_sphere(29, bumps=0.2)
+    assert kernel_radius(mesh) < 0, "parts of it hide others"
+    tracer = make_tracer(device, *mesh)
+    for kind in TARGETS:
+        rays = rays_from_inside(mesh, kind, 4000, np.random.default_rng(30), 0.4)
+        assert (tracer.closest(*rays).prim_id != NO_HIT).all() and tracer.any(*rays).all()
 
 
 def test_the_leak_test_sees_a_missing_triangle(device: Device) -> None:
