@@ -221,10 +221,11 @@ def test_no_ray_leaks_into_or_out_of_a_closed_mesh(device: Device, name: str) ->
 
 
 def test_no_ray_leaks_out_of_a_rough_sphere(device: Device) -> None:
-    mesh = bumpy_sphere(29, bumps=0.2)
-    assert kernel_radius(mesh) < 0, "parts of it hide others"
+    mesh = bumpy_sphere(29, bumps=0.3)
+    assert kernel_radius(mesh) < 0.2, "from some origins parts of it hide others"
     tracer = make_tracer(device, *mesh)
     for kind in TARGETS:
+        # Radii of 0.7 and more, and faces within an angle of 0.4 of their middles, leave a ball of 0.64 inside.
         rays = rays_from_inside(mesh, kind, 4000, np.random.default_rng(30), 0.4)
         assert (tracer.closest(*rays).prim_id != NO_HIT).all() and tracer.any(*rays).all()
 

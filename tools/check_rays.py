@@ -77,7 +77,7 @@ def count_leaks(device: Device, ray_count: int) -> Iterator[Count]:
 
 
 def count_rough_leaks(device: Device, ray_count: int) -> Iterator[Count]:
-    mesh = worlds.bumpy_sphere(SEED, bumps=0.2)
+    mesh = worlds.bumpy_sphere(SEED, bumps=0.3)
     tracer = make_tracer(device, *mesh)
     for kind in worlds.TARGETS:
         inside = worlds.rays_from_inside(mesh, kind, ray_count, np.random.default_rng(SEED), 0.4)

@@ -52,6 +52,14 @@ class RayHits:
     barycentrics: np.ndarray
 
 
+@dataclass(frozen=True)
+class RayBuffers:
+    """Rays on the device. arguments : origins, directions and excluded, as the kernels of trace_rays.cl take them."""
+
+    count: int
+    arguments: dict[str, cl.Buffer]
+
+
 def ray_features(device: Device, bvh: Bvh) -> Features:
     """The build options of a tracer over that hierarchy; `Geometry` must be made with them, at world_scale 1."""
     return Features(
@@ -88,7 +96,7 @@ def check_loops(device: Device) -> None:
 
 
 class RayTracer:
-    """Rays against one scene; every method waits.
+    """Rays against one scene; every method waits, but those that enqueue.
 
     features : of `ray_features`. geometry : built with these, at world_scale 1, with its hierarchy.
     Raises DeviceError on drivers that limit loops.
@@ -124,13 +132,8 @@ class RayTracer:
         (ray_count,) float32 or one number, in lengths of the direction. excluded : (ray_count,) uint32, a prim_id
         that each ray passes through, or NO_HIT. Raises UsageError for rays that are not finite or out of range.
         """
-        count, rays = self._upload(origins, directions, t_min, t_max, excluded)
-        made = {
-            "prims_hit": buffers.create(self.device, 4 * count),
-            "distances": buffers.create(self.device, 8 * count),
-            "weights": buffers.create(self.device, 16 * count),
-        }
-        self._launch("trace_closest", count, **rays, **self._scene, **self._vertices, **made)
+        rays = self.upload(origins, directions, t_min, t_max, excluded)
+        count, made = rays.count, self.enqueue_closest(rays)
         prim_id = buffers.download(self.device, made["prims_hit"], np.uint32, count)
         distances = buffers.download(self.device, made["distances"], np.float32, (count, 2))
         weights = buffers.download(self.device, made["weights"], np.float32, (count, 4))
@@ -145,10 +148,24 @@ class RayTracer:
         excluded: np.ndarray | None = None,
     ) -> np.ndarray:
         """(ray_count,) bool: whether there is a hit with t_min < t < t_max; arguments as of `closest`."""
-        count, rays = self._upload(origins, directions, t_min, t_max, excluded)
-        occluded = buffers.create(self.device, 4 * count)
-        self._launch("trace_any", count, **rays, **self._scene, occluded=occluded)
-        return buffers.download(self.device, occluded, np.uint32, count) != 0
+        rays = self.upload(origins, directions, t_min, t_max, excluded)
+        return buffers.download(self.device, self.enqueue_any(rays), np.uint32, rays.count) != 0
+
+    def enqueue_closest(self, rays: RayBuffers) -> dict[str, cl.Buffer]:
+        """Enqueue `closest` of rays on the device; returns what trace_closest writes, by its argument names."""
+        made = {
+            "prims_hit": buffers.create(self.device, 4 * rays.count),
+            "distances": buffers.create(self.device, 8 * rays.count),
+            "weights": buffers.create(self.device, 16 * rays.count),
+        }
+        self._launch("trace_closest", rays.count, **rays.arguments, **self._scene, **self._vertices, **made)
+        return made
+
+    def enqueue_any(self, rays: RayBuffers) -> cl.Buffer:
+        """Enqueue `any` of rays on the device; returns [ray_count] uint, 1 where something is hit."""
+        occluded = buffers.create(self.device, 4 * rays.count)
+        self._launch("trace_any", rays.count, **rays.arguments, **self._scene, occluded=occluded)
+        return occluded
 
     def leave(self, prim_id: np.ndarray, barycentrics: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Where rays start that leave points of triangles: (ray_count, 3) float32, world space.
@@ -179,9 +196,15 @@ class RayTracer:
             raise SceneError(f"triangle {prims[np.argmin(found[:, 3])]} has no area: no ray can leave it")
         return found[:, :3]
 
-    def _upload(
-        self, origins: Any, directions: Any, t_min: Any, t_max: Any, excluded: np.ndarray | None
-    ) -> tuple[int, dict[str, cl.Buffer]]:
+    def upload(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        t_min: np.ndarray | float = 0.0,
+        t_max: np.ndarray | float = np.inf,
+        excluded: np.ndarray | None = None,
+    ) -> RayBuffers:
+        """Rays on the device; arguments and errors as of `closest`."""
         count = len(origins)
         origins, directions = _vectors("origins", origins, count), _vectors("directions", directions, count)
         if not (np.abs(origins) <= MAX_COORDINATE).all():
@@ -194,17 +217,17 @@ class RayTracer:
             excluded = np.full(count, NO_HIT, dtype=np.uint32)
         if len(excluded) != count:
             raise UsageError(f"{count} rays need as many excluded prim_ids, not {len(excluded)}")
-        return count, {
+        arguments = {
             "origins": buffers.upload(self.device, _padded(origins, low)),
             "directions": buffers.upload(self.device, _padded(directions, high)),
             "excluded": buffers.upload(self.device, np.ascontiguousarray(excluded, dtype=np.uint32)),
         }
+        return RayBuffers(count, arguments)
 
     def _launch(self, kernel: str, count: int, **arguments: Any) -> None:
         if count:
             items = -(-count // WORK_GROUP) * WORK_GROUP
             self._program.launch(kernel, items, WORK_GROUP, ray_count=count, **arguments)
-            self.device.queue.finish()
 
 
 def _vectors(name: str, values: Any, count: int) -> np.ndarray:
