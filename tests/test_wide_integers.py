@@ -1,4 +1,4 @@
-"""cl/wide_integers.clh against Python's integers: every length, every sign, carries through all limbs, every float32."""
+"""cl/wide_integers.clh against Python's integers: every length and sign, carries through all limbs, every float."""
 
 from __future__ import annotations
 
