@@ -29,8 +29,8 @@ class World:
     view: CameraVectors
 
     def __str__(self) -> str:
-        view = self.view
-        return f"{self.family} {self.seed}: {self.scene.triangle_count} triangles, {view.projection} {view.width}x{view.height}"
+        view, count = self.view, self.scene.triangle_count
+        return f"{self.family} {self.seed}: {count} triangles, {view.projection} {view.width}x{view.height}"
 
 
 # --- families: (3 count, 3) float64 positions -----------------------------------------------------------
@@ -185,6 +185,34 @@ def make_view(rng: np.random.Generator, positions: np.ndarray, projection: str, 
     size = max(1e-30, min(1e30, float(np.abs(positions).max()))) / 20
     first = (back * float(rng.choice([0, -30, 5])) - right * width / 2 - up * height / 2) * size
     return orthographic(width, height, e0=first, d=back, ex=right * size, ey=up * size)
+
+
+def full_mantissas(seed: int, projection: str = "perspective", side: int = 24) -> World:
+    """Closed fans whose hubs lie on the rays of pixel centres exactly, all numbers in 24 random bits.
+
+    Camera vectors are multiples of 2^-24 and steps powers of two, so that sums with places of samples stay so.
+    Edges to a hub pass its sample exactly, and float64 cannot hold the products that tell.
+    """
+    rng = np.random.default_rng((seed, len(FAMILIES)))
+    step, unit, hub_count = 2.0**-6, 2.0**-24, 12
+    corner = rng.integers(-(2**22), 2**22, 3) * unit
+    along = 2 * unit * rng.integers(2**20, 2**21, 3)
+    if projection == "perspective":
+        corner[2] = -unit * rng.integers(2**23, 2**24)
+        view = perspective(side, side, d0=corner, dx=(step, 0, 0), dy=(0, -step, 0))
+    else:
+        view = orthographic(side, side, e0=corner, d=along, ex=(step, 0, 0), ey=(0, -step, 0))
+    parts = []
+    for _ in range(hub_count):
+        x, y = rng.integers(2, side - 2, 2) + 0.5
+        hub = corner + [x * step, -y * step, 0] + (along / 2 if projection == "orthographic" else 0)
+        assert (hub.astype(np.float32) == hub).all()
+        n = int(rng.integers(3, 7))
+        angle = 2 * np.pi * (np.arange(n) + rng.uniform(0, 0.9, n)) / n
+        ring = np.stack([np.cos(angle), np.sin(angle), rng.normal(size=n)], axis=1) * rng.uniform(0.02, 0.1)
+        ring = (hub + ring).astype(np.float32).astype(np.float64)
+        parts.append(np.stack([np.broadcast_to(hub, ring.shape), ring, np.roll(ring, -1, axis=0)], axis=1))
+    return World("full mantissas", seed, make_scene(np.concatenate(parts).reshape(-1, 3)), view)
 
 
 def make_world(family: str, seed: int, projection: str | None = None, max_side: int = 70) -> World:

@@ -95,8 +95,9 @@ def nearness_faults(view: CameraVectors, found: Found, exact: Exact) -> tuple[li
             if right is None or (right <= 0) == is_perspective or not np.isfinite([lower, upper]).all():
                 continue
             bounded_count += 1
-            if not Fraction(lower) <= right * scale <= Fraction(upper):
-                faults.append(f"{found.corners[k].tolist()} at {found.at[k, n]}: {float(right * scale)} {lower} {upper}")
+            value = right * scale
+            if not Fraction(lower) <= value <= Fraction(upper):
+                faults.append(f"{found.corners[k].tolist()} at {found.at[k, n]}: {float(value)} {lower} {upper}")
     return faults, bounded_count
 
 
