@@ -26,7 +26,7 @@ PROJECTIONS = ["perspective", "orthographic"]
 MAINLY_PERSPECTIVE = ["perspective", pytest.param("orthographic", marks=pytest.mark.long)]
 """To build the programs of one more setting takes seconds; every default test has both projections somewhere."""
 FEW_FAMILIES = ("short numbers", "on rays", "one ulp apart", "any exponent", "through the eye")
-TILE_METHODS = [name for name, method in METHODS.items() if method.tiles and method.oracles["binning"].setting != "never"]
+TILE_METHODS = [name for name, row in METHODS.items() if row.tiles and row.oracles["binning"].setting != "never"]
 """They share one program here, since all edges are 3D in these rungs."""
 
 LONG_SEEDS = 120
