@@ -45,7 +45,6 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
         (["explain", "x.ply"], "'explain' is not available in this version"),
         (["cost", "x.ply"], "'cost' is not available in this version"),
         (["accuracy", "x.ply"], "'accuracy' is not available in this version"),
-        (["stress", "--help"], "'stress' is not available in this version"),
         (["--nonsense"], "see 'clrast --help'"),
         (["render"], "INPUT.*see 'clrast render --help'"),
         (["render", "a.ply", "b.ply", "-o", "x.exr"], "b.ply"),
@@ -277,7 +276,7 @@ def test_help_has_one_example(verb: str, capsys: pytest.CaptureFixture[str]) -> 
     assert example.startswith(f"    clrast {verb or 'render'} ")
     if not verb:
         assert all(word in printed.out for word in ("render", "diff", "compare", "devices"))
-        assert not any(word in printed.out for word in ("explain", "accuracy", "stress"))
+        assert not any(word in printed.out for word in ("explain", "accuracy"))
 
 
 def test_every_example_parses() -> None:

@@ -174,7 +174,8 @@ def working(wanted: str | None) -> Iterator[ListedDevice]:
 
 def markdown(found: dict[str, dict[tuple[str, str], Count]], texts: dict[str, str]) -> str:
     """The counts as a page: a row for each scene and rung, a column for each runtime."""
-    lines = ["# Hashes of AOVs on other runtimes", "", "Made by `python tools/hashes.py --markdown data/golden/aov_hashes.md`.",
+    lines = ["# Hashes of AOVs on other runtimes", "",
+             "Made by `python tools/hashes.py --markdown data/golden/aov_hashes.md`.",
              "Each cell: images (`id.prim`, `Z`, RGBA by every method) with the bytes of",
              "`data/golden/aov_hashes.json`, of all that the runtime renders. `double` needs a device with float64.",
              ""]  # fmt: skip

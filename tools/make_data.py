@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from clrast.scene.shapes import icosphere
+from clrast.study.hard_cases import card_files
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 SEED = 20110721
@@ -194,6 +195,7 @@ def make_files() -> dict[str, bytes]:
         "meshes/knot.ply": knot(),
         "textures/checker.png": png_bytes(64, 64, checker_pixel),
         "textures/fence.png": png_bytes(32, 32, fence_pixel),
+        **{f"hard/{name}": content for name, content in card_files().items()},
     }
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from clrast.study.stress import Stress
 
 TABLE_WIDTH = 160
+EDGE_NAMES = {Edges.PROJECTED: "2dr-*", Edges.HOMOGENEOUS: "2dh-*", Edges.SPATIAL: "3D edges"}
 NOTHING = "-"
 COLUMNS = ("case", "rung", "method", "samples", "wrong", *KINDS)
 TEXT_COLUMNS = 3
@@ -50,11 +51,11 @@ def table_rows(stress: Stress) -> list[Row]:
             by_rung.setdefault(precision, {}).setdefault(tuple(sums), []).append(method)
         merged: dict[tuple[tuple[str, ...], tuple[int, ...]], list[str]] = {}
         for precision, groups in by_rung.items():
-            for sums, methods in groups.items():
+            for key, methods in groups.items():
                 ordered = tuple(name for name in stress.plan.methods if name in methods)
-                merged.setdefault((ordered, sums), []).append(precision)
-        for (methods, sums), precisions in merged.items():
-            rows.append(Row(case.name, tuple(precisions), methods, sums[0], sums[1], sums[2:]))
+                merged.setdefault((ordered, key), []).append(precision)
+        for (ordered, key), precisions in merged.items():
+            rows.append(Row(case.name, tuple(precisions), ordered, key[0], key[1], key[2:]))
     return rows
 
 
@@ -72,7 +73,9 @@ def table_lines(stress: Stress) -> list[str]:
     for row in table_rows(stress):
         name = row.case if row.case != last else ""
         last = row.case
-        cells = (name, " ".join(row.precisions), methods_text(row.methods, stress.plan.methods), str(row.samples))
+        is_all = row.precisions == stress.plan.precisions and len(row.precisions) > 1
+        rungs = "all" if is_all else " ".join(row.precisions)
+        cells = (name, rungs, methods_text(row.methods, stress.plan.methods), str(row.samples))
         table.add_row(*map(Text, (*cells, *(str(n) if n else NOTHING for n in (row.wrong, *row.counts)))))
     for one in stress.refused:
         answer = f"refused, exit {one.exit_code}" if one.exit_code is not None else "TAKEN"
@@ -91,13 +94,16 @@ def _heading(stress: Stress) -> str:
 
 
 def methods_text(methods: Sequence[str], asked: Sequence[str]) -> str:
-    """`all 11`, `all with 3D edges`, `all others`, or the names."""
-    if tuple(methods) == tuple(asked):
-        return f"all {len(methods)}" if len(methods) > 1 else methods[0]
-    spatial = [name for name in asked if name in METHODS and METHODS[name].edges == Edges.SPATIAL]
-    if list(methods) == spatial:
-        return "3D edges"
-    return " ".join(methods)
+    """`all 11`, or names, those of one kind of edges together where all that were asked for are there."""
+    if tuple(methods) == tuple(asked) and len(methods) > 1:
+        return f"all {len(methods)}"
+    parts, left = [], list(methods)
+    for edges, text in EDGE_NAMES.items():
+        kind = [name for name in asked if name in METHODS and METHODS[name].edges == edges]
+        if len(kind) > 1 and set(kind) <= set(left):
+            parts.append(text)
+            left = [name for name in left if name not in kind]
+    return ", ".join([*parts, *left])
 
 
 def unexpected_lines(stress: Stress) -> list[str]:

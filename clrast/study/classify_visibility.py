@@ -99,6 +99,7 @@ class Classifier:
         self.bounds = Float32Bounds(camera_vectors)
         self.topology = Topology(positions, triangles)
         self.positions, self.triangles = np.asarray(positions, dtype=np.float64), np.asarray(triangles)
+        self.known: dict[tuple[int, int, int, int], Difference] = {}
 
     def corners(self, prim_id: int) -> np.ndarray:
         return self.positions[self.triangles[prim_id].astype(np.int64)]
@@ -161,7 +162,13 @@ class Classifier:
         return nearest if nearest != 1 or ratio == 1 else float(np.nextafter(1.0, 2.0 if ratio > 1 else 0.0))
 
     def judge(self, right: int, given: int, i: int, j: int) -> Difference:
-        """Kind and place of one wrong sample."""
+        """Kind and place of one wrong sample; kept for the next image of the view."""
+        key = (right, given, i, j)
+        if key not in self.known:
+            self.known[key] = self._judge(*key)
+        return self.known[key]
+
+    def _judge(self, right: int, given: int, i: int, j: int) -> Difference:
         blamed = given if right == NO_HIT else right
         ratio = 0.0
         if right == NO_HIT:
@@ -194,17 +201,18 @@ def classify(
     prim_id: np.ndarray,
     depth: np.ndarray | None = None,
     limit: int = LIMIT,
+    classifier: Classifier | None = None,
 ) -> Classification:
     """Compare a rendered frame with the exact answer.
 
     prim_id : (height, width) uint32; depth : (height, width) float32 `Z`, or None. Beyond `limit` wrong samples
-    the rest are counted as ('unexamined', 'unexamined').
+    the rest are counted as ('unexamined', 'unexamined'). classifier : of the same scene and view, if there is one.
     """
     given = np.asarray(prim_id)
     if given.shape != exact.prim_id.shape:
         raise ValueError(f"the image is {given.shape}, the exact answer {exact.prim_id.shape}")
     rows, columns = np.nonzero(given != exact.prim_id)
-    classifier = Classifier(positions, triangles, camera_vectors)
+    classifier = classifier or Classifier(positions, triangles, camera_vectors)
     differences = []
     for j, i in list(zip(rows.tolist(), columns.tolist(), strict=True))[:limit]:
         right, got = int(exact.prim_id[j, i]), int(given[j, i])

@@ -37,13 +37,15 @@ def double_hits(
     positions: np.ndarray,
     triangles: np.ndarray,
     camera_vectors: Mapping[str, Sequence[float]],
+    classifier: Classifier | None = None,
 ) -> list[Difference]:
     """Samples that two edge neighbours both cover though the eye sees them on different sides of their edge.
 
     Each is a Difference of kind 'double' with `right` and `given` the two triangles; place 'edge' (only the shared
     edge is within rounding: forbidden), 'vertex' (another edge of either is too) or 'elsewhere'.
+    classifier : of the same scene and view, if there is one.
     """
-    classifier = Classifier(positions, triangles, camera_vectors)
+    classifier = classifier or Classifier(positions, triangles, camera_vectors)
     colours = classifier.topology.colours()
     images = [render_part(render, np.flatnonzero(colours == colour)) for colour in range(colours.max() + 1)]
     found: list[Difference] = []

@@ -175,8 +175,7 @@ def t_junctions_rounded() -> Built:
 
 @FAMILY.case(
     "grid-planes",
-    "All faces of a lattice of cubes lie in planes of the cells of any uniform grid, and the eye lies in three of them.",
-    wrong=FLOAT32,
+    "All faces of a lattice of cubes lie in planes of the cells of any uniform grid; the eye lies in three of them.",
 )
 def grid_planes() -> Built:
     corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)

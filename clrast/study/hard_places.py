@@ -80,7 +80,7 @@ def eye_on_edge() -> Built:
 
 @FAMILY.case("eye-on-vertex", "The eye is a vertex of a fan: its triangles cover nothing, their neighbours do.")
 def eye_on_vertex() -> Built:
-    eye = np.float32(OBLIQUE.eye).astype(np.float64)
+    eye = np.array(OBLIQUE.eye, np.float32).astype(np.float64)
     rim = 0.6 * noise(85, 10, 3)
     blades = np.array([[eye, rim[k], rim[(k + 1) % 10]] for k in range(10)])
     return loose(np.concatenate([blades, blob(86, 30)])), [OBLIQUE]
@@ -103,8 +103,9 @@ def tiny_triangles() -> Built:
 
 
 def scaled(scale: float) -> Built:
-    camera = Camera("scaled", "perspective", tuple(scale * c for c in OBLIQUE.eye),
-                    tuple(scale * c for c in OBLIQUE.look_at), OBLIQUE.up, 60.0)  # fmt: skip
+    (x, y, z), (u, v, w) = OBLIQUE.eye, OBLIQUE.look_at
+    eye, look_at = (scale * x, scale * y, scale * z), (scale * u, scale * v, scale * w)
+    camera = Camera("scaled", "perspective", eye, look_at, OBLIQUE.up, 60.0)
     cameras = [camera, orthographic(camera, 3.0 * scale)] if scale > 1e-30 else [camera]  # pixels of float32 numbers
     return loose(blob(87, 50) * scale), cameras
 
