@@ -21,7 +21,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from classify_visibility import Classifier
 from conformance_worlds import Case
 from exact_counts import exact_hit_counts, faces_one_way
 from kernel_world import NO_HIT, render
@@ -31,6 +30,7 @@ from clrast.opencl.device import Device
 from clrast.opencl.features import Edges
 from clrast.options import PRECISIONS
 from clrast.scene.model import Material
+from clrast.study.classify_visibility import Classifier
 from clrast.study.exact_visibility import exact_visibility
 from clrast.visibility.methods import METHODS
 

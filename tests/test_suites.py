@@ -18,13 +18,13 @@ from conformance_inputs import run_inputs
 from conformance_integer import covers, integer_cases, random_triangles
 from conformance_spheres import dense_bumpy_cases, far_cases, small_bumpy_cases
 from conformance_worlds import Case, aimed_sheet, quad_cases, sheet, small_cases
-from double_hits import hit_counts
 from exact_counts import exact_hit_counts, faces_one_way
 from kernel_world import NO_HIT, make_scene
 from patched_kernels import CONTRACTED, PLAIN, patched
 
 from clrast.opencl.device import Device
 from clrast.options import AVAILABLE_PRECISIONS
+from clrast.study.double_hits import hit_counts
 
 TOOL = Path(__file__).resolve().parents[1] / "tools" / "check_suites.py"
 JUDGED = tuple(rung for rung in AVAILABLE_PRECISIONS if rung not in UNJUDGED_RUNGS)
