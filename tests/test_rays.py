@@ -175,12 +175,12 @@ def test_the_hierarchy_changes_no_bit(device: Device, name: str) -> None:
 
 
 @pytest.mark.long
-def test_the_vector_width_changes_no_bit(device: Device) -> None:
+def test_neither_vector_width_nor_float64_changes_a_bit(device: Device) -> None:
     mesh = bumpy_sphere(18)
-    rays = aimed_rays(mesh, 300, 19)
-    assert device.vector_width in VECTOR_WIDTHS
-    others = [closest_bytes(make_tracer(replace(device, vector_width=w), *mesh), *rays) for w in VECTOR_WIDTHS]
-    assert all(other == others[0] for other in others)
+    rays = [np.concatenate(pair) for pair in zip(aimed_rays(mesh, 100, 19), lattice_rays(100, 19), strict=True)]
+    devices = [replace(device, vector_width=width) for width in VECTOR_WIDTHS]
+    found = [closest_bytes(make_tracer(d, *mesh), *rays) for d in (*devices, replace(device, has_fp64=False))]
+    assert all(other == found[0] for other in found)
 
 
 # --- no leaks ---------------------------------------------------------------------------------------
