@@ -69,6 +69,17 @@ INLINE void emit_tile(TileSink sink, View view, BoundedTriangle s, int column, i
 
 // Mask per lane: the screen block with its first pixel at (left, top) may hold a sample of the triangle.
 INLINE int_v blocks_may_hit(TriangleSetup setup, View view, BoundedTriangle s, int_v left, int_v top, int size) {
+#if FIXED
+  int_v may_cover = setup.valid;
+  for (uint i = 0; i < 3; ++i) {
+    const SnappedEdge edge = setup.snapped[i];
+    const int_v x = edge.gx > 0 ? min(left + size, s.x1) - 1 : max(left, s.x0);
+    const int_v y = edge.gy > 0 ? min(top + size, s.y1) - 1 : max(top, s.y0);
+    const long_v v = snapped_value(edge, 0.5f - view.center_x, 0.5f - view.center_y);
+    may_cover &= TO_INT_V((v + TO_LONG_V(x) * TO_LONG_V(edge.gx) + TO_LONG_V(y) * TO_LONG_V(edge.gy)) >> 32) >= 0;
+  }
+  return may_cover;
+#else
   const float_v x0 = TO_FLOAT_V(max(left, s.x0)) + (0.5f - view.center_x);
   const float_v y0 = TO_FLOAT_V(max(top, s.y0)) + (0.5f - view.center_y);
   const float_v x1 = TO_FLOAT_V(min(left + size, s.x1)) - (0.5f + view.center_x);
@@ -86,6 +97,7 @@ INLINE int_v blocks_may_hit(TriangleSetup setup, View view, BoundedTriangle s, i
 #endif
   }
   return may_hit;
+#endif
 }
 
 // Visits the tiles of one group of 4 x 4 tiles that the triangle may touch, row by row.

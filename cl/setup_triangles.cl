@@ -23,6 +23,13 @@
 
 #define CORNER_CAPACITY 8
 
+// Pixels that a snapped vertex, or a line through snapped points, may lie beside its own place: twice half a subpixel.
+#if FIXED
+#define SNAP_SLACK (1.0f / SUBPIXELS)
+#else
+#define SNAP_SLACK 0.0f
+#endif
+
 // The three edge functions of one lane, as scalars.
 typedef struct { float c[3], gx[3], gy[3]; } LaneEdges;
 
@@ -34,7 +41,8 @@ static bool clip_screen_bound(LaneEdges edges, float half_width, float half_heig
   int corner_count = 4;
   for (int i = 0; i < 3; ++i) {
     const float slack =
-        EDGE_SLACK * (fabs(edges.c[i]) + half_width * fabs(edges.gx[i]) + half_height * fabs(edges.gy[i]));
+        EDGE_SLACK * (fabs(edges.c[i]) + half_width * fabs(edges.gx[i]) + half_height * fabs(edges.gy[i])) +
+        SNAP_SLACK * (fabs(edges.gx[i]) + fabs(edges.gy[i]));
     float new_x[CORNER_CAPACITY], new_y[CORNER_CAPACITY];
     int new_count = 0;
     for (int k = 0; k < corner_count; ++k) {
@@ -130,7 +138,14 @@ INLINE void bound_crossing_lanes(
     }
     low[lane] = high[lane] = 0;
     float4 bound;
-    if (!valid[lane] || !clip_screen_bound(edges, view.center_x, view.center_y, &bound)) continue;
+#if FIXED
+    // Without a volume a snapped triangle may still have an area.
+    if (!valid[lane]) bound = (float4)(-view.center_x, -view.center_y, view.center_x, view.center_y);
+    else
+#else
+    if (!valid[lane]) continue;
+#endif
+    if (!clip_screen_bound(edges, view.center_x, view.center_y, &bound)) continue;
     const int x0 = clamp((int)ceil(bound.x + (view.center_x - 0.5f)), 0, (int)view.width);
     const int y0 = clamp((int)ceil(bound.y + (view.center_y - 0.5f)), 0, (int)view.height);
     const int x1 = clamp((int)floor(bound.z + (view.center_x - 0.5f)) + 1, 0, (int)view.width);
@@ -158,7 +173,12 @@ INLINE float_v nearest_in_bound(TriangleSetup setup, View view, uint_v low, uint
   const float_v y0 = TO_FLOAT_V(AS_INT_V(low >> 16)) + (0.5f - view.center_y);
   const float_v x1 = TO_FLOAT_V(AS_INT_V(high & 0xffffu)) - (0.5f + view.center_x);
   const float_v y1 = TO_FLOAT_V(AS_INT_V(high >> 16)) - (0.5f + view.center_y);
-  return block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, x0, y0, x1, y1);
+  const float_v most = block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, x0, y0, x1, y1);
+#if FIXED
+  return clamp_nearness(most, setup.least, setup.most);
+#else
+  return most;
+#endif
 }
 #endif
 
@@ -201,7 +221,7 @@ kernel void setup_triangles(
     // Conservative without an exception: for the sums with the image's centre as well.
     const float_v slack = reach * reach * (2.0f * BOUND_SLACK / view.focal) + BOUND_SLACK * (view.center_x + view.center_y);
 #else
-    const float_v slack = reach * reach * (BOUND_SLACK / view.focal);
+    const float_v slack = reach * reach * (BOUND_SLACK / view.focal) + SNAP_SLACK;
 #endif
     int_v x0 = first_center(x_low - slack, view.center_x, view.width);
     int_v y0 = first_center(y_low - slack, view.center_y, view.height);

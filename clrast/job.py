@@ -29,7 +29,7 @@ from clrast.visibility.cost_model import DEFAULT, StageTimes, ViewCounts
 from clrast.visibility.frusta import FrustumTraversal, stack_capacity, traversal_bytes
 from clrast.visibility.geometry import build_geometry
 from clrast.visibility.loop_limits import loop_limit
-from clrast.visibility.methods import AUTO, Method, resolve_method
+from clrast.visibility.methods import AUTO, SNAPPED_DEFAULT, Method, resolve_method
 from clrast.visibility.screen_bounds import BOUND_BYTES
 from clrast.visibility.settle import ContenderList, settle_bytes
 from clrast.visibility.tiles import TileRasterizer
@@ -70,7 +70,8 @@ def hierarchy_of(scene: Scene) -> tuple[Bvh, float]:
 def named_method(options: RenderOptions) -> Method:
     """The method that the options name, with their oracles; the default one for `auto`."""
     if options.method == AUTO:
-        return resolve_method(DEFAULT, evaluation=options.evaluation)
+        default = SNAPPED_DEFAULT if options.precision == "fixed" else DEFAULT
+        return resolve_method(default, evaluation=options.evaluation)
     return resolve_method(
         options.method, options.oracle, intersection=options.intersection, evaluation=options.evaluation
     )

@@ -15,12 +15,12 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from clrast.errors import UsageError
-from clrast.visibility.methods import AUTO, resolve_method
+from clrast.visibility.methods import AUTO, SNAPPED_METHODS, resolve_method
 from clrast.visibility.methods import METHODS as METHOD_TABLE
 from clrast.visibility.oracles import parse_oracle
 
 PRECISIONS = ("fast", "ordered", "midpoint", "double", "fixed", "exact")
-AVAILABLE_PRECISIONS = ("fast", "ordered", "midpoint", "double", "exact")
+AVAILABLE_PRECISIONS = PRECISIONS
 AVAILABLE_METHODS = (AUTO, *METHOD_TABLE)
 METHODS = (*AVAILABLE_METHODS[:-1], "raycast-grid", "raycast-grid-multipass", AVAILABLE_METHODS[-1])
 """In the order of the design, which lists those over a grid before the last."""
@@ -346,6 +346,11 @@ class RenderOptions:
             raise UsageError("--oracle changes a method: name it, such as --method 3dr-full")
         elif self.intersection != "edge":
             raise UsageError("--intersection barycentric is of --method raycast-brute: give that method")
+        if self.precision == "fixed" and self.method not in (AUTO, *SNAPPED_METHODS):
+            raise UsageError(
+                f"--precision fixed snaps projected vertices, and {self.method} projects none: "
+                f"use --method {listed(SNAPPED_METHODS)}, or another rung"
+            )
 
 
 OPTION_NAMES = tuple(each.name for each in fields(RenderOptions))

@@ -27,7 +27,7 @@ from clrast.visibility.cost_model import (
     reason_without_trial,
 )
 from clrast.visibility.loop_limits import loop_limit
-from clrast.visibility.methods import AUTO, resolve_method
+from clrast.visibility.methods import AUTO, SNAPPED_DEFAULT, resolve_method
 
 _ONE_AT_A_TIME = threading.Lock()
 """Threads share a device's kernels, whose arguments are set before each launch: renders take turns."""
@@ -70,6 +70,9 @@ def start_job(
     """The job of the method that the options name; with `auto` the fastest, by frames of the view itself."""
     job = RenderJob(device, scene, vectors, options, plan)
     if options.method != AUTO:
+        return job
+    if options.precision == "fixed":
+        job.reason = f"{SNAPPED_DEFAULT}: --precision fixed is for projected vertices"
         return job
     if loop_limit(device) is not None or len(job.bands) > 1 or options.memory is not None:
         job.reason = f"{DEFAULT}: nothing else is tried on this device, in bands or under a memory budget"

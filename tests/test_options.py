@@ -138,7 +138,6 @@ def test_fov_is_inside_0_and_180(degrees: float) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("precision", "fixed", "--precision fixed is not available in this version; use fast, .* or exact"),
         (
             "method",
             "raycast-grid",

@@ -58,7 +58,7 @@ Precision = Annotated[
     _option(
         "--precision",
         metavar="RUNG",
-        text="fast, ordered, midpoint, double or exact [default: midpoint].",
+        text="fast, ordered, midpoint, double, fixed (2dr-* alone) or exact [default: midpoint].",
         panel=ACCURACY,
     ),
 ]

@@ -48,7 +48,12 @@ PRECISION_FAST = 0
 PRECISION_ORDERED = 1
 PRECISION_MIDPOINT = 2
 PRECISION_DOUBLE = 3
+PRECISION_FIXED = 4
 PRECISION_EXACT = 5
+
+SUBPIXEL_LOG2 = 12
+SUBPIXELS = 1 << SUBPIXEL_LOG2
+"""Of a pixel's side: what --precision fixed snaps projected vertices to."""
 
 EDGES_3D = 0
 EDGES_2D = 1

@@ -290,6 +290,8 @@ def compare_scene(
     methods : names, None for all. A method that can not render this view is left out with its reason where it
     was not named, and raises where it was. repetitions : rounds. budget_s : seconds.
     """
+    if options.precision == "fixed":
+        raise UsageError("--precision fixed is for 2dr-brute and 2dr-binning alone: compare methods at another rung")
     options = replace(options, aov=("id",), counters=False, repeat=0, oracle=(), intersection="edge", method=AUTO)
     vectors = camera_vectors(camera, *options.size)
     plan = plan_effects(scene, options.aov, options.effects)

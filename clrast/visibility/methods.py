@@ -13,7 +13,7 @@ from typing import Any
 
 from clrast.errors import UsageError
 from clrast.opencl import constants
-from clrast.opencl.features import Edges, Features
+from clrast.opencl.features import Edges, Features, Precision
 from clrast.visibility.oracles import ORACLES, OracleChoice, parse_oracle
 
 AUTO = "auto"
@@ -58,7 +58,9 @@ class Method:
         for name, choice in self.oracles.items():
             chosen[name] = ORACLES[name].settings[choice.setting][0]
         edges = Edges.SPATIAL if features.filtered else self.edges
-        return replace(features, edges=edges, evaluation=EVALUATIONS[self.evaluation], **chosen)
+        # Integer edge functions have one value, however it is come by.
+        evaluation = "direct" if features.precision is Precision.FIXED else self.evaluation
+        return replace(features, edges=edges, evaluation=EVALUATIONS[evaluation], **chosen)
 
     @property
     def small_ratio(self) -> int:
@@ -112,6 +114,12 @@ METHODS: Mapping[str, Method] = MappingProxyType({
     )
 })  # fmt: skip
 """Name -> method, in the order of the design."""
+
+SNAPPED_METHODS = tuple(name for name, row in METHODS.items() if row.edges is Edges.PROJECTED)
+"""What --precision fixed is for: methods that project vertices, which can then be snapped."""
+
+SNAPPED_DEFAULT = "2dr-binning"
+"""What `auto` is with --precision fixed."""
 
 BASELINE = "2dr-brute"
 """What the paper's Fig. 9 is relative to."""
