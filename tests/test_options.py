@@ -167,7 +167,7 @@ def test_what_is_not_there_yet_says_so(name: str, value: str | bool, message: st
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("precision", "midpiont", "use fast, ordered, midpoint, double or exact .did you mean midpoint"),
+        ("precision", "midpiont", "use fast, ordered, midpoint, double, fixed or exact .did you mean midpoint"),
         ("method", "3dr-bining", "use auto, 2dr-brute, .* or raycast-brute .did you mean 3dr-binning"),
         ("method", "raycast-bhv", "did you mean raycast-bvh"),
         ("method", "3DR-full", "did you mean 3dr-full"),
