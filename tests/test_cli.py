@@ -68,7 +68,10 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
         (["render", "a.ply", "-o", "x.exr", "--camera", "a", "--eye", "0,0,1"], "contradicts"),
         (["render", "a.ply", "-o", "x.exr", "--projection", "latlong"], "not available in this version"),
         (["render", "a.ply", "-o", "x.exr", "--projection", "ortho"], "did you mean orthographic"),
-        (["render", "a.ply", "-o", "x.exr", "--precision", "fixed", "--method", "3dr-full"], "use --method 2dr-brute or 2dr-binning"),
+        (
+            ["render", "a.ply", "-o", "x.exr", "--precision", "fixed", "--method", "3dr-full"],
+            "use --method 2dr-brute or 2dr-binning",
+        ),
         (["render", "a.ply", "-o", "x.exr", "--resume", "y"], "not available in this version"),
         (["render", "a.ply", "-o", "x.exr", "--time-budget", "1"], "not available in this version"),
         (["render", "a.ply", "-o", "x.exr", "-t", "0"], "--threads 0"),

@@ -1,8 +1,8 @@
 """--precision fixed against integers in Python: snapped vertices, clipped lines and the fill rule, sample by sample.
 
-The reference projects in numpy float32 as cl/snapped_edges.clh says, then leaves floats: V = (b - a) x (s - a) of Python
-integers in subpixels, every sample of the image, no bound, no tile, no block. Facing is exact: the area of the snapped
-triangle, or the rational determinant of the vertices where one lies outside the guard band.
+The reference projects in numpy float32 as cl/snapped_edges.clh says, then leaves floats: V = (b - a) x (s - a) of
+Python integers in subpixels, every sample of the image, no bound, no tile, no block. Facing is exact: the area of the
+snapped triangle, or the rational determinant of the vertices where one lies outside the guard band.
 """
 
 from __future__ import annotations
@@ -178,7 +178,9 @@ WORLDS = [(p, c) for p in ("perspective", "orthographic") for c in CASES if p ==
 MAY_HIT_NOTHING = ("thinner than a subpixel", "edge-on", "all vertices behind")
 
 
-@pytest.mark.parametrize(("method", "count"), [("2dr-binning", 5), pytest.param("2dr-brute", 24, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("method", "count"), [("2dr-binning", 5), pytest.param("2dr-brute", 24, marks=pytest.mark.long)]
+)
 @pytest.mark.parametrize(("projection", "case"), WORLDS)
 def test_every_sample_is_that_of_the_integers(
     device: Device, projection: str, case: str, method: str, count: int
@@ -210,8 +212,11 @@ def test_each_sample_of_a_fan_and_of_a_grid_has_one_triangle(device: Device, met
     flat = perspective(16, 16)
     parallel = view_of("orthographic", 6, 6)
     for scene, seen_from in (
-        (sides_of_a_fan(flat, 23), flat), (sides_of_a_fan(flat, 8), flat), (sheet(view), view), (sheet(parallel), parallel),
-    ):  # fmt: skip
+        (sides_of_a_fan(flat, 23), flat),
+        (sides_of_a_fan(flat, 8), flat),
+        (sheet(view), view),
+        (sheet(parallel), parallel),
+    ):
 
         def part(chosen: np.ndarray, scene: Scene = scene, seen_from: CameraVectors = seen_from) -> np.ndarray:
             one = replace(scene, triangles=scene.triangles[chosen])
