@@ -241,7 +241,8 @@ SCALAR_PROGRAMS = ("prepare_triangles.cl", "shade_hits.cl", "settle_contenders.c
 """Programs whose work-items are the lanes: vectors have one lane there, and edges are 3D, whatever decides samples."""
 
 RAY_PROGRAMS = ("trace_rays.cl",)
-"""Programs for rays of no camera, whatever decides samples: always exact, each ray a perspective sample of its own."""
+"""Programs for rays of no camera: always exact, each ray a perspective sample of its own. They read the vector width,
+float64 and the stack's capacity; what else views are made of leaves them as they are."""
 
 
 def build(device: Device, name: str, features: Features | None = None, folder: Path | None = None) -> Program:
@@ -254,9 +255,8 @@ def build(device: Device, name: str, features: Features | None = None, folder: P
     if name in SCALAR_PROGRAMS:
         features = replace(features, vector_width=1, edges=Edges.SPATIAL)
     if name in RAY_PROGRAMS:
-        features = replace(
-            features, precision=Precision.EXACT, projection=Projection.PERSPECTIVE, edges=Edges.SPATIAL, evaluation=0
-        )
+        width, stack = features.vector_width, features.stack_capacity
+        features = Features(width, precision=Precision.EXACT, float64=features.float64, stack_capacity=stack)
     defines = features.defines(source)
     key = (name, source, defines)
     program = device.programs.get(key)
