@@ -40,7 +40,7 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "no command given: use render, diff, compare or devices"),
+        ([], "no command given: use render, diff, compare, stress or devices"),
         (["rendr"], "did you mean render"),
         (["explain", "x.ply"], "'explain' is not available in this version"),
         (["cost", "x.ply"], "'cost' is not available in this version"),
@@ -68,10 +68,6 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
         (["render", "a.ply", "-o", "x.exr", "--camera", "a", "--eye", "0,0,1"], "contradicts"),
         (["render", "a.ply", "-o", "x.exr", "--projection", "latlong"], "not available in this version"),
         (["render", "a.ply", "-o", "x.exr", "--projection", "ortho"], "did you mean orthographic"),
-        (
-            ["render", "a.ply", "-o", "x.exr", "--precision", "fixed", "--method", "3dr-full"],
-            "use --method 2dr-brute or 2dr-binning",
-        ),
         (["render", "a.ply", "-o", "x.exr", "--resume", "y"], "not available in this version"),
         (["render", "a.ply", "-o", "x.exr", "--time-budget", "1"], "not available in this version"),
         (["render", "a.ply", "-o", "x.exr", "-t", "0"], "--threads 0"),

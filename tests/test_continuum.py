@@ -102,7 +102,7 @@ def test_parallel_rays(device: Device) -> None:
     check(device, some("3dr-full", "raycast-brute"), "orthographic")
 
 
-OTHER_RUNGS = [rung for rung in AVAILABLE_PRECISIONS if rung != "midpoint"]
+OTHER_RUNGS = [rung for rung in AVAILABLE_PRECISIONS if rung not in ("midpoint", "fixed")]  # fixed: 2D edges alone
 EVALUATIONS_OF_RUNGS = [(rung, ("direct", "incremental")[k % 2]) for k, rung in enumerate(OTHER_RUNGS)]
 """Every rung, and both ways of evaluation in turns: the two have nothing to do with each other."""
 

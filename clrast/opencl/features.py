@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from enum import IntEnum
+from functools import cache
 
 
 class Precision(IntEnum):
@@ -85,7 +86,9 @@ class Features:
         )
 
 
+@cache
 def _words(source: str) -> frozenset[str]:
+    """The names in a program; each is looked through once, as that takes longer than a small frame."""
     import re
 
     return frozenset(re.findall(r"[A-Za-z_]\w*", source))

@@ -18,7 +18,7 @@ from clrast.opencl.features import Edges
 from clrast.options import AVAILABLE_METHODS, AVAILABLE_PRECISIONS, RenderOptions, make_options
 from clrast.scene.camera import camera_vectors
 from clrast.scene.model import Camera, Scene
-from clrast.study.classify_visibility import Difference
+from clrast.study.classify_visibility import Classifier, Difference
 from clrast.study.double_hits import double_hits
 from clrast.study.exact_visibility import ExactVisibility, exact_visibility
 from clrast.study.hard_case import HardCase
@@ -244,15 +244,17 @@ def check_case(case: HardCase, plan: Plan, show: Show = lambda text: None) -> li
         vectors = camera_vectors(view.camera, *view.size).named()
         show(f"{case.name}, {view.name}: exact arithmetic")
         exact = exact_visibility(scene.positions, scene.triangles, vectors, *view.size)
+        classifier = Classifier(scene.positions, scene.triangles, vectors)
         for precision in plan.precisions:
             show(f"{case.name}, {view.name}: {precision}")
-            found += _check_rung(scene, view, vectors, exact, precision, plan)
+            found += _check_rung(scene, view, classifier, vectors, exact, precision, plan)
     return found
 
 
 def _check_rung(
     scene: Scene,
     view: View,
+    classifier: Classifier,
     vectors: Mapping[str, Sequence[float]],
     exact: ExactVisibility,
     precision: str,
@@ -271,22 +273,26 @@ def _check_rung(
         # Whether a triangle covers a sample is a matter of its edges alone: methods that share them share this.
         edges = method if plan.long or method == AUTO else METHODS[method].edges
         if edges not in doubles:
-            doubles[edges] = _double_hits(scene, view, vectors, options)
+            doubles[edges] = _double_hits(scene, view, classifier, vectors, options)
         twice = tuple(sorted({(one.x, one.y, one.place) for one in doubles[edges]}))
         key = (prim_id.tobytes(), depth.tobytes(), twice)
         groups.setdefault(key, (prim_id, depth, []))[2].append(method)
     findings = []
     for (_, _, twice), (prim_id, depth, methods) in groups.items():
-        kinds, details = judge(scene, vectors, exact, prim_id, depth, twice)
+        kinds, details = judge(scene, vectors, exact, prim_id, depth, twice, classifier)
         findings.append(Finding(scene.name, view, precision, tuple(methods), prim_id, depth, kinds, details))
     return findings
 
 
 def _double_hits(
-    scene: Scene, view: View, vectors: Mapping[str, Sequence[float]], options: RenderOptions
+    scene: Scene,
+    view: View,
+    classifier: Classifier,
+    vectors: Mapping[str, Sequence[float]],
+    options: RenderOptions,
 ) -> list[Difference]:
     def render(chosen: np.ndarray) -> np.ndarray:
         rows = {name: getattr(scene, name)[chosen] for name in ("triangles", "object_ids", "material_ids")}
         return render_frame(replace(scene, **rows), view.camera, options)[0]
 
-    return double_hits(render, scene.positions, scene.triangles, vectors)
+    return double_hits(render, scene.positions, scene.triangles, vectors, classifier)

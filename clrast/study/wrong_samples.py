@@ -19,7 +19,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from clrast.scene.model import Scene
-from clrast.study.classify_visibility import Difference, classify
+from clrast.study.classify_visibility import Classifier, Difference, classify
 from clrast.study.exact_visibility import NO_HIT, ExactVisibility
 
 KINDS = ("hole", "double hit", "wrong neighbour", "vertex", "unexplained", "other", "Z")
@@ -35,10 +35,11 @@ def judge(
     prim_id: np.ndarray,
     depth: np.ndarray,
     twice: Iterable[tuple[int, int, str]] = (),
+    classifier: Classifier | None = None,
 ) -> tuple[np.ndarray, dict[tuple[str, str], int]]:
     """(height, width) uint8, 0 where a sample is right, else 1 + the place in KINDS; and (kind, place) -> samples.
 
-    twice : (x, y, place) of double hits.
+    twice : (x, y, place) of double hits. classifier : of the same scene and view, if there is one.
     """
     kinds = np.zeros(prim_id.shape, dtype=np.uint8)
     details: Counter[tuple[str, str]] = Counter()
@@ -46,7 +47,7 @@ def judge(
     kinds[wrong_depth] = 1 + KINDS.index(DEPTH)
     if wrong_depth.any():
         details["right", DEPTH] = int(wrong_depth.sum())
-    judged = classify(scene.positions, scene.triangles, vectors, exact, prim_id)
+    judged = classify(scene.positions, scene.triangles, vectors, exact, prim_id, classifier=classifier)
     details.update(judged.counts)
     kinds[prim_id != exact.prim_id] = 1 + KINDS.index("other")
     for one in judged.differences:
