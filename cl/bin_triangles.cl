@@ -130,9 +130,7 @@ static void walk_wide(
   uint prim_id[VECTOR_WIDTH];
   for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) prim_id[lane] = s.prim_id;
 #if FILTERED
-  ErrorBounds errors;
-  TriangleSetup setup = setup_triangles_open(gather_triangles(corners, prim_id), view, &errors);
-  for (uint i = 0; i < 3; ++i) setup.edge[i].c += min(2.0f * errors.edge, (float_v)(BOUND_CEILING));
+  const TriangleSetup setup = setup_triangles_outwards(gather_triangles(corners, prim_id), view);
 #else
   const TriangleSetup setup = setup_triangles_at(gather_triangles(corners, prim_id), view);
 #endif

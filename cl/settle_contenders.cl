@@ -29,6 +29,7 @@ typedef struct {
 #endif
 #if ALPHA_MASK
   Surfaces surfaces;
+  global const uint *corner_vertices;     // [3 * triangle_count] vertices in the order of the corners
   global const float4 *scaled_positions;  // [vertex_count] world space times world_scale
 #endif
 } Ground;
@@ -38,17 +39,17 @@ typedef struct {
 static bool mask_lets_pass(const Ground *g, uint prim_id, Place at) {
   const Material material = g->surfaces.materials[g->surfaces.material_ids[prim_id]];
   if (!(material.flags & MATERIAL_MASK)) return true;
+  global const uint *vertices = g->corner_vertices + 3 * (size_t)prim_id;
   float4 p[3];
-  for (uint i = 0; i < 3; ++i) p[i] = g->scaled_positions[g->indices[3 * (size_t)prim_id + i]];
+  for (uint i = 0; i < 3; ++i) p[i] = g->scaled_positions[vertices[i]];
   const Vec3 a = {p[0].x, p[0].y, p[0].z}, b = {p[1].x, p[1].y, p[1].z}, c = {p[2].x, p[2].y, p[2].z};
-  const uint turn = is_first(b, c, a) ? 1 : (is_first(c, a, b) ? 2 : 0);
   const TriangleSetup setup = setup_triangles_3d(canonical_triangles(a, b, c), g->view);
   const float x = (float)at.x * (1.0f / 256.0f) - g->view.center_x, y = (float)at.y * (1.0f / 256.0f) - g->view.center_y;
   SurfacePoint point;
   point.prim_id = prim_id;
-  point.i0 = g->indices[3 * (size_t)prim_id + turn];
-  point.i1 = g->indices[3 * (size_t)prim_id + (turn + 1) % 3];
-  point.i2 = g->indices[3 * (size_t)prim_id + (turn + 2) % 3];
+  point.i0 = vertices[0];
+  point.i1 = vertices[1];
+  point.i2 = vertices[2];
   weigh_vertices(&point, edge_value(setup.edge[0].c, setup.edge[0].gx, setup.edge[0].gy, x, y),
                  edge_value(setup.edge[1].c, setup.edge[1].gx, setup.edge[1].gy, x, y),
                  edge_value(setup.edge[2].c, setup.edge[2].gx, setup.edge[2].gy, x, y));
@@ -142,6 +143,7 @@ kernel void settle_contenders(
     global float *restrict nearness,          // [2 * band height * width]
 #endif
 #if ALPHA_MASK
+    global const uint *restrict corner_vertices, // [3 * triangle_count] vertices in the order of the corners
     global const float4 *restrict scaled_positions, // [vertex_count] world space times world_scale
     global const uint *restrict material_ids,    // [triangle_count]
     global const Material *restrict materials,   // [material_count]
@@ -170,6 +172,7 @@ kernel void settle_contenders(
 #if ALPHA_MASK
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
   g.surfaces = surfaces;
+  g.corner_vertices = corner_vertices;
   g.scaled_positions = scaled_positions;
 #endif
   uint by_float64 = 0, by_integers = 0;

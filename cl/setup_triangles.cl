@@ -250,9 +250,7 @@ kernel void setup_triangles(
       STORE_V(low, lane_low);
       STORE_V(high, lane_high);
 #if FILTERED
-      ErrorBounds errors;
-      TriangleSetup edges = setup_triangles_open(triangles, view, &errors);
-      for (uint i = 0; i < 3; ++i) edges.edge[i].c += min(errors.edge, (float_v)(BOUND_CEILING));
+      const TriangleSetup edges = setup_triangles_outwards(triangles, view);
 #else
       const TriangleSetup edges = setup_triangles_3d(triangles, view);
 #endif
@@ -266,7 +264,7 @@ kernel void setup_triangles(
 #endif
 #if FILTERED
     const ErrorBounds errors = bound_errors(triangles, volume_of(triangles, view), view, view.direction_reach);
-    if (LANE_MASK(errors.facing_unsure) != 0)
+    if (has_lane(errors.facing_unsure))
       list_unsure_facings(errors.facing_unsure, LOAD_V(bounds_high + k), k, triangle_count, contender_state, unsure_slots);
 #endif
 #if NODE_BOUNDS

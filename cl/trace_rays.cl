@@ -33,22 +33,17 @@ typedef struct {
   float edge[3];       // edge functions, float32
 } Best;
 
-INLINE Corners corners_of(const Hierarchy *h, uint slot) {
-  const Corners t = {{h->corners[3 * (size_t)slot], h->corners[3 * (size_t)slot + 1], h->corners[3 * (size_t)slot + 2]}};
-  return t;
-}
-
 // Whether a ray that surely hits triangle `slot` does so before the best; intervals alone cannot tell.
 static bool comes_before(const Hierarchy *h, Ray ray, uint slot, uint prim_id, const Best *best) {
   const Place at = {0, 0};
   Rungs rungs = {false, false};
-  return goes_before(corners_of(h, slot), prim_id, corners_of(h, best->slot), best->prim_id, camera_of(ray), at, &rungs);
+  return goes_before(corners_of_slot(h->corners, slot), prim_id, corners_of_slot(h->corners, best->slot), best->prim_id, camera_of(ray), at, &rungs);
 }
 
 static bool covers_ray(const Hierarchy *h, Ray ray, uint slot) {
   const Place at = {0, 0};
   Rungs rungs = {false, false};
-  return covers(corners_of(h, slot), camera_of(ray), at, &rungs);
+  return covers(corners_of_slot(h->corners, slot), camera_of(ray), at, &rungs);
 }
 
 // Tests triangles first .. end - 1; returns whether one was hit that is better than `best`, which becomes it.

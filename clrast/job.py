@@ -190,7 +190,7 @@ class RenderJob:
 
     def _plan_bands(self) -> BandPlan:
         per_pixel = 4 + Shader.bytes_per_pixel(self.groups)
-        planes = 2 if self.features.filtered else 1
+        planes = self.features.nearness_planes
         if self.features.keep_nearness:
             per_pixel += 4 * planes
         if self.plan["alpha blend"]:
@@ -259,15 +259,20 @@ class RenderJob:
         """Render all bands into `channels`; keeps the smallest time of each stage unless `first`."""
         self._frame_times = {}
         self.hit_count = self.passes = self.band_count = 0
-        self.launches = -self.tiles.launches - self.shader.launches
+        before = self._launch_count()
         if self.work is not None:
             self.work.clear()
         self._timed("setup", self.tiles.setup)
         for row, rows in self.bands:
             self._render_band(channels, row, rows)
-        self.launches += self.tiles.launches + self.shader.launches
+        self.launches = self._launch_count() - before
         for stage, spent in self._frame_times.items():
             self.times[stage] = spent if first else min(spent, self.times[stage])
+
+    def _launch_count(self) -> int:
+        """Kernels launched by this job's stages so far."""
+        settling = 0 if self.contenders is None else self.contenders.launches
+        return self.tiles.launches + self.shader.launches + settling
 
     def _render_band(self, channels: dict[str, np.ndarray], row: int, rows: int) -> None:
         width, height = self.options.size
@@ -314,7 +319,7 @@ class RenderJob:
     def _render_layers(self, pixel_count: int) -> None:
         """Add what lies behind BLEND surfaces, layer by layer; each layer lies strictly behind the last."""
         layer, size = 0, 4 * pixel_count
-        nearness_size = size * (2 if self.features.filtered else 1)
+        nearness_size = size * self.features.nearness_planes
         front_nearness, front_prims = (buffers.create(self.device, each) for each in (nearness_size, size))
         assert self.tiles.nearness is not None
         while self.shader.has_open_pixels(pixel_count):

@@ -6,13 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from clrast.study.exact_visibility import (
-    PAIRS_PER_CHUNK,
-    covered_pairs,
-    facing_signs,
-    screen_boxes,
-    small_boxes,
-)
+from clrast.study.exact_visibility import covered_pairs, facing_boxes, facing_signs
 from clrast.study.linear_forms import IntegerForms, float_forms
 
 
@@ -24,19 +18,10 @@ def exact_hit_counts(
     height: int,
 ) -> np.ndarray:
     """(height, width) int64: triangles that cover the sample before the eye; float64 with proof, else integers."""
-    positions, triangles = np.asarray(positions, dtype=np.float32), np.asarray(triangles)
-    corners = positions.astype(np.float64)[triangles.astype(np.int64)]
-    exact = IntegerForms(positions, triangles, camera_vectors)
-    forms = float_forms(corners, camera_vectors, width, height)
-    boxes = screen_boxes(corners, camera_vectors, width, height)
-    signs = facing_signs(forms, exact, boxes.triangle)
-    forms.edge[:] *= signs
-    boxes = small_boxes(boxes[signs[boxes.triangle] != 0], forms)
+    boxes, forms, exact = facing_boxes(positions, triangles, camera_vectors, width, height)
     counts = np.zeros(width * height, dtype=np.int64)
-    ends = np.cumsum(boxes.area())
-    cuts = np.searchsorted(ends, np.arange(PAIRS_PER_CHUNK, (ends[-1] if len(ends) else 0), PAIRS_PER_CHUNK))
-    for chunk in np.split(np.arange(len(boxes.triangle)), cuts):
-        pairs = covered_pairs(boxes[chunk], forms, width)
+    for chunk in boxes.chunks():
+        pairs = covered_pairs(chunk, forms, width)
         sure = pairs.is_sure & (pairs.w_low > 0)
         np.add.at(counts, pairs.sample[sure], 1)
         for sample, triangle in zip(pairs.sample[~sure].tolist(), pairs.triangle[~sure].tolist(), strict=True):

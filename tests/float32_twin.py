@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clrast.study.exact_visibility import NO_HIT, PAIRS_PER_CHUNK, screen_boxes, small_boxes, spread
+from clrast.study.exact_visibility import NO_HIT, screen_boxes, small_boxes, spread
 from clrast.study.linear_forms import float_forms
 
 RUNGS = ("midpoint", "fast", "contracted")
@@ -99,10 +99,8 @@ def render_twin(
     forms.edge[:] *= np.sign(forms.facing)
     boxes = small_boxes(boxes, replace(forms, edge_error=forms.edge_error * FLOAT32_SLACK))
     ray = {name: [np.asarray(value, dtype=np.float32) for value in values] for name, values in camera_vectors.items()}
-    ends, found = np.cumsum(boxes.area()), []
-    cuts = np.searchsorted(ends, np.arange(PAIRS_PER_CHUNK, ends[-1] if len(ends) else 0, PAIRS_PER_CHUNK))
-    for chunk in np.split(np.arange(len(boxes.triangle)), cuts):
-        part = boxes[chunk]
+    found = []
+    for part in boxes.chunks():
         owner, k = spread(part.area())
         across = (part.x1 - part.x0)[owner]
         x, y, triangle = part.x0[owner] + k % across, part.y0[owner] + k // across, part.triangle[owner]

@@ -31,6 +31,7 @@ from clrast.scene.camera import camera_vectors  # noqa: E402
 from clrast.scene.model import Camera, Scene  # noqa: E402
 from clrast.shading.effects import plan_effects  # noqa: E402
 from clrast.study.exact_visibility import exact_visibility  # noqa: E402
+from clrast.study.stress import is_offered  # noqa: E402
 
 NAMES = ["icosphere", "bunny", "dragon", "sponza inside"]
 
@@ -91,7 +92,7 @@ def main() -> int:
     parser.add_argument("--repetitions", type=int, default=40)
     parser.add_argument("--device")
     options = parser.parse_args()
-    options.rungs = [rung for rung in options.rungs.split(",") if rung != "fixed" or options.method.startswith("2dr")]
+    options.rungs = [rung for rung in options.rungs.split(",") if is_offered(options.method, rung)]
     wanted = options.scenes.split(",")
     found = scenes(wanted)
     for name in wanted:

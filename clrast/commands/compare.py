@@ -76,8 +76,6 @@ Output = Annotated[
     typer.Option("-o", "--output", metavar="FILE", help="A plot, x.svg or x.png; may be given again.",
                  rich_help_panel=p.OUTPUTS),
 ]  # fmt: skip
-Json = Annotated[bool, typer.Option("--json", help="Print the table as JSON.", rich_help_panel=p.OUTPUTS)]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="No notes and no progress.", rich_help_panel=p.OUTPUTS)]
 
 
 @dataclass(frozen=True)
@@ -117,8 +115,8 @@ def compare_command(
     precision: p.Precision = None,
     effects: p.Effects = None,
     output: Output = None,
-    json: Json = False,
-    quiet: Quiet = False,
+    json: p.StudyJson = False,
+    quiet: p.StudyQuiet = False,
     device: p.Device = None,
     threads: p.Threads = None,
 ) -> int:

@@ -147,6 +147,8 @@ Counters = Annotated[
 Report = Annotated[bool, _switch("--report", text="Print effects with reasons, and times.", panel=OUTPUTS)]
 Json = Annotated[bool, _switch("--json", text="Print the stats as JSON in place of the report.", panel=OUTPUTS)]
 Quiet = Annotated[bool, _switch("-q", "--quiet", text="No notes and no progress; warnings stay.", panel=OUTPUTS)]
+StudyJson = Annotated[bool, _switch("--json", text="Print the table as JSON.", panel=OUTPUTS)]
+StudyQuiet = Annotated[bool, _switch("-q", "--quiet", text="No notes and no progress.", panel=OUTPUTS)]
 
 Device = Annotated[
     Texts,

@@ -53,8 +53,6 @@ Output = Annotated[
     typer.Option("-o", "--output", metavar="FILE", rich_help_panel=p.OUTPUTS, show_default=False,
                  help="The whole run as a page, x.html, that needs no other file."),
 ]  # fmt: skip
-Json = Annotated[bool, typer.Option("--json", help="Print the table as JSON.", rich_help_panel=p.OUTPUTS)]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="No notes and no progress.", rich_help_panel=p.OUTPUTS)]
 
 
 @dataclass(frozen=True)
@@ -76,8 +74,8 @@ def stress_command(
     long: Long = False,
     failures: Failures = None,
     output: Output = None,
-    json: Json = False,
-    quiet: Quiet = False,
+    json: p.StudyJson = False,
+    quiet: p.StudyQuiet = False,
     device: p.Device = None,
     threads: p.Threads = None,
 ) -> int:

@@ -76,6 +76,11 @@ class Features:
         """Whether float32 only filters samples, and the rest is settled by float64 or exact arithmetic."""
         return self.precision in (Precision.DOUBLE, Precision.EXACT)
 
+    @property
+    def nearness_planes(self) -> int:
+        """float32 values that a sample's nearness takes where it is kept: one, or an interval's two."""
+        return 2 if self.filtered else 1
+
     def defines(self, source: str | None = None) -> tuple[str, ...]:
         """`-D NAME=value` for each field, in their order; with `source` only those that it mentions."""
         words = None if source is None else _words(source)

@@ -12,7 +12,7 @@ for the float32 inputs, the smaller prim_id where two w are equal. Shares nothin
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +56,13 @@ class Boxes:
 
     def area(self) -> np.ndarray:
         return (self.x1 - self.x0) * (self.y1 - self.y0)
+
+    def chunks(self) -> Iterator[Boxes]:
+        """The boxes in pieces of about PAIRS_PER_CHUNK samples."""
+        ends = np.cumsum(self.area())
+        cuts = np.searchsorted(ends, np.arange(PAIRS_PER_CHUNK, ends[-1] if len(ends) else 0, PAIRS_PER_CHUNK))
+        for chosen in np.split(np.arange(len(self.triangle)), cuts):
+            yield self[chosen]
 
     @staticmethod
     def join(parts: Sequence[Boxes]) -> Boxes:
@@ -209,18 +216,37 @@ def ratio_parts(
 def contenders(boxes: Boxes, forms: FloatForms, width: int, height: int) -> tuple[Pairs, int]:
     """All pairs that may be the visible one, ordered by sample; and how many pairs were looked at."""
     best = np.full(width * height, -np.inf)
-    ends = np.cumsum(boxes.area())
-    cuts = np.searchsorted(ends, np.arange(PAIRS_PER_CHUNK, (ends[-1] if len(ends) else 0), PAIRS_PER_CHUNK))
     kept = []
-    for chunk in np.split(np.arange(len(boxes.triangle)), cuts):
-        pairs = covered_pairs(boxes[chunk], forms, width)
+    for chunk in boxes.chunks():
+        pairs = covered_pairs(chunk, forms, width)
         sure = pairs.is_sure & (pairs.w_low > 0)
         np.maximum.at(best, pairs.sample[sure], pairs.w_low[sure])
         kept.append(pairs[pairs.w_high >= best[pairs.sample]])
     names = ("sample", "triangle", "is_sure", "w_low", "w_high")
     pairs = Pairs(*(np.concatenate([getattr(part, name) for part in kept]) for name in names))
     pairs = pairs[pairs.w_high >= best[pairs.sample]]
-    return pairs[np.lexsort((pairs.triangle, pairs.sample))], int(ends[-1]) if len(ends) else 0
+    return pairs[np.lexsort((pairs.triangle, pairs.sample))], int(boxes.area().sum())
+
+
+def facing_boxes(
+    positions: np.ndarray,
+    triangles: np.ndarray,
+    camera_vectors: Mapping[str, Sequence[float]],
+    width: int,
+    height: int,
+) -> tuple[Boxes, FloatForms, IntegerForms]:
+    """Boxes of samples that triangles may cover, and their forms, all three edges positive inside.
+
+    Arguments as of `exact_visibility`.
+    """
+    positions, triangles = np.asarray(positions, dtype=np.float32), np.asarray(triangles)
+    corners = positions.astype(np.float64)[triangles.astype(np.int64)]
+    exact = IntegerForms(positions, triangles, camera_vectors)
+    forms = float_forms(corners, camera_vectors, width, height)
+    boxes = screen_boxes(corners, camera_vectors, width, height)
+    signs = facing_signs(forms, exact, boxes.triangle)
+    forms.edge[:] *= signs
+    return small_boxes(boxes[signs[boxes.triangle] != 0], forms), forms, exact
 
 
 def exact_visibility(
@@ -235,14 +261,7 @@ def exact_visibility(
     positions : (vertex_count, 3) float32; triangles : (triangle_count, 3) vertex indices; camera_vectors: float32
     numbers as in `stats["camera"]`, `e d0 dx dy` or `d e0 ex ey`.
     """
-    positions, triangles = np.asarray(positions, dtype=np.float32), np.asarray(triangles)
-    corners = positions.astype(np.float64)[triangles.astype(np.int64)]
-    exact = IntegerForms(positions, triangles, camera_vectors)
-    forms = float_forms(corners, camera_vectors, width, height)
-    boxes = screen_boxes(corners, camera_vectors, width, height)
-    signs = facing_signs(forms, exact, boxes.triangle)
-    forms.edge[:] *= signs  # from here on, inside is where all three are positive
-    boxes = small_boxes(boxes[signs[boxes.triangle] != 0], forms)
+    boxes, forms, exact = facing_boxes(positions, triangles, camera_vectors, width, height)
     pairs, pair_count = contenders(boxes, forms, width, height)
     return settle(pairs, pair_count, forms, exact, width, height)
 

@@ -83,8 +83,8 @@ class FrustumTraversal:
         self._limit = loop_limit(device)
         pixel_count = min(band_rows << features.tile_log2, int(view["height"])) * int(view["width"])
         self.visible_prims = buffers.create(device, 4 * pixel_count)
-        planes = 2 if features.filtered else 1
-        self.nearness = buffers.create(device, 4 * planes * pixel_count) if features.keep_nearness else None
+        nearness_bytes = 4 * features.nearness_planes * pixel_count
+        self.nearness = buffers.create(device, nearness_bytes) if features.keep_nearness else None
         self._nodes: dict[str, cl.Buffer] = {}
         self._make_nodes()
         self._frustum_count = band_rows * int(view["tile_columns"])

@@ -40,6 +40,7 @@ PIXELS_PER_CONTENDER = 8
 WORKERS_PER_UNIT = 16
 """Work items that share a list of unknown length, per compute unit."""
 
+
 def first_capacity(pixel_count: int) -> int:
     """Contenders that a list has room for at first."""
     return max(MIN_CONTENDERS, pixel_count // PIXELS_PER_CONTENDER)
@@ -70,8 +71,10 @@ class ContenderList:
         assert camera.dtype == CAMERA
         self.device, self.features, self.geometry, self.camera = device, features, geometry, camera
         self._program = kernels.build(device, "settle_contenders.cl", features)
-        self._masks = {**masks, "scaled_positions": geometry.positions} if features.alpha_mask else {}
-        self._masks.pop("indices", None)
+        self._masks: dict[str, Any] = {}
+        if features.alpha_mask:
+            own = {"corner_vertices": geometry.corner_vertices, "scaled_positions": geometry.positions}
+            self._masks = {**masks, **own}
         self._limited = loop_limit(device) is not None
         self.capacity = first_capacity(pixel_count)
         self.contenders = buffers.create(device, CONTENDER_BYTES * self.capacity)
@@ -151,7 +154,7 @@ class ContenderList:
         front_prims: cl.Buffer | None = None,
     ) -> None:
         """Let every listed contender take its sample, if it must."""
-        more: dict[str, Any] = dict(self._masks)
+        more = dict(self._masks)
         if self.features.keep_nearness:
             more |= {"layer": layer, "front_prims": front_prims or visible_prims, "nearness": nearness}
         self._program.launch(
@@ -180,11 +183,11 @@ class ContenderList:
         front: tuple[cl.Buffer, cl.Buffer] | None,
     ) -> None:
         """Run `decide_samples(layer, front)` and settle what it left open; again where the list was too short."""
-        self._clear(CONTENDER_COUNT)
-        decide_samples(layer, front)
-        while not self.fits():
+        while True:
             self._clear(CONTENDER_COUNT)
             decide_samples(layer, front)
+            if self.fits():
+                break
         if self._state[CONTENDER_COUNT]:
             self.settle(view, visible_prims, nearness, layer, None if front is None else front[1])
             self._read()

@@ -73,8 +73,8 @@ class TileRasterizer:
         self._reference_prims: cl.Buffer | None = None
         self._reference_bounds: cl.Buffer | None = None
         self.visible_prims = buffers.create(device, 4 * pixel_count)
-        planes = 2 if features.filtered else 1
-        self.nearness = buffers.create(device, 4 * planes * pixel_count) if features.keep_nearness else None
+        nearness_bytes = 4 * features.nearness_planes * pixel_count
+        self.nearness = buffers.create(device, nearness_bytes) if features.keep_nearness else None
 
     def _launch(self, program: str, kernel: str, items: int, **arguments: Any) -> None:
         self._programs[program].launch(kernel, items, 1, **arguments)
