@@ -75,15 +75,19 @@ INLINE int_v blocks_may_hit(TriangleSetup setup, View view, BoundedTriangle s, i
     const SnappedEdge edge = setup.snapped[i];
     const int_v x = edge.gx > 0 ? min(left + size, s.x1) - 1 : max(left, s.x0);
     const int_v y = edge.gy > 0 ? min(top + size, s.y1) - 1 : max(top, s.y0);
-    const long_v v = snapped_value(edge, 0.5f - view.center_x, 0.5f - view.center_y);
+    const long_v upper = max(snapped_value(edge, view.samples_left - view.center_x, view.samples_top - view.center_y),
+                             snapped_value(edge, view.samples_right - view.center_x, view.samples_top - view.center_y));
+    const long_v lower = max(snapped_value(edge, view.samples_left - view.center_x, view.samples_bottom - view.center_y),
+                             snapped_value(edge, view.samples_right - view.center_x, view.samples_bottom - view.center_y));
+    const long_v v = max(upper, lower);
     may_cover &= TO_INT_V((v + TO_LONG_V(x) * TO_LONG_V(edge.gx) + TO_LONG_V(y) * TO_LONG_V(edge.gy)) >> 32) >= 0;
   }
   return may_cover;
 #else
-  const float_v x0 = TO_FLOAT_V(max(left, s.x0)) + (0.5f - view.center_x);
-  const float_v y0 = TO_FLOAT_V(max(top, s.y0)) + (0.5f - view.center_y);
-  const float_v x1 = TO_FLOAT_V(min(left + size, s.x1)) - (0.5f + view.center_x);
-  const float_v y1 = TO_FLOAT_V(min(top + size, s.y1)) - (0.5f + view.center_y);
+  const float_v x0 = TO_FLOAT_V(max(left, s.x0)) + (view.samples_left - view.center_x);
+  const float_v y0 = TO_FLOAT_V(max(top, s.y0)) + (view.samples_top - view.center_y);
+  const float_v x1 = TO_FLOAT_V(min(left + size, s.x1)) + (view.samples_right - 1.0f - view.center_x);
+  const float_v y1 = TO_FLOAT_V(min(top + size, s.y1)) + (view.samples_bottom - 1.0f - view.center_y);
   int_v may_hit = setup.valid;
 #pragma unroll
   for (uint i = 0; i < 3; ++i) {

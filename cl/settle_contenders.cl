@@ -60,7 +60,7 @@ static bool mask_lets_pass(const Ground *g, uint prim_id, Place at) {
 // Lets one contender take its sample, if it must.
 static void settle_contender(const Ground *g, uint pixel, uint prim_id, volatile global uint *visible_prims, Rungs *rungs) {
   const uint column = pixel % g->view.width, row = pixel / g->view.width + (g->view.band_row << TILE_LOG2);
-  const Place at = {(int)(256 * column + 128), (int)(256 * row + 128)};
+  const Place at = {(int)(256 * column) + (int)(256.0f * g->view.sample_x), (int)(256 * row) + (int)(256.0f * g->view.sample_y)};
   const Corners t = load_corners(g->positions, g->indices, prim_id);
   if (!covers(t, g->camera, at, rungs)) return;
 #if ALPHA_MASK

@@ -71,14 +71,15 @@ static bool clip_screen_bound(LaneEdges edges, float half_width, float half_heig
   return true;
 }
 
-// First and one past the last column whose centre lies in [low, high], clamped to [0, size].
-INLINE int_v first_center(float_v low, float center, uint size) {
-  const float_v first = ceil(low + (center - 0.5f));
+// First and one past the last column with samples in [low, high], clamped to [0, size]; `sample` is the last place in
+// a pixel that has one for the first column, and the first place for the last.
+INLINE int_v first_sample(float_v low, float center, float sample, uint size) {
+  const float_v first = ceil(low + (center - sample));
   return TO_INT_V(min(max(first, 0.0f), (float)size));
 }
 
-INLINE int_v end_center(float_v high, float center, uint size) {
-  const float_v last = floor(high + (center - 0.5f)) + 1.0f;
+INLINE int_v end_sample(float_v high, float center, float sample, uint size) {
+  const float_v last = floor(high + (center - sample)) + 1.0f;
   return TO_INT_V(min(max(last, 0.0f), (float)size));
 }
 
@@ -146,10 +147,10 @@ INLINE void bound_crossing_lanes(
     if (!valid[lane]) continue;
 #endif
     if (!clip_screen_bound(edges, view.center_x, view.center_y, &bound)) continue;
-    const int x0 = clamp((int)ceil(bound.x + (view.center_x - 0.5f)), 0, (int)view.width);
-    const int y0 = clamp((int)ceil(bound.y + (view.center_y - 0.5f)), 0, (int)view.height);
-    const int x1 = clamp((int)floor(bound.z + (view.center_x - 0.5f)) + 1, 0, (int)view.width);
-    const int y1 = clamp((int)floor(bound.w + (view.center_y - 0.5f)) + 1, 0, (int)view.height);
+    const int x0 = clamp((int)ceil(bound.x + (view.center_x - view.samples_right)), 0, (int)view.width);
+    const int y0 = clamp((int)ceil(bound.y + (view.center_y - view.samples_bottom)), 0, (int)view.height);
+    const int x1 = clamp((int)floor(bound.z + (view.center_x - view.samples_left)) + 1, 0, (int)view.width);
+    const int y1 = clamp((int)floor(bound.w + (view.center_y - view.samples_top)) + 1, 0, (int)view.height);
     low[lane] = x0 | y0 << 16;
     high[lane] = x1 | y1 << 16;
   }
@@ -169,10 +170,10 @@ static void list_unsure_facings(int_v unsure, uint_v high, uint first, uint slot
 #if NODE_BOUNDS
 // The greatest nearness that a lane's triangle reaches at a sample of its bound: exact, by monotonicity.
 INLINE float_v nearest_in_bound(TriangleSetup setup, View view, uint_v low, uint_v high) {
-  const float_v x0 = TO_FLOAT_V(AS_INT_V(low & 0xffffu)) + (0.5f - view.center_x);
-  const float_v y0 = TO_FLOAT_V(AS_INT_V(low >> 16)) + (0.5f - view.center_y);
-  const float_v x1 = TO_FLOAT_V(AS_INT_V(high & 0xffffu)) - (0.5f + view.center_x);
-  const float_v y1 = TO_FLOAT_V(AS_INT_V(high >> 16)) - (0.5f + view.center_y);
+  const float_v x0 = TO_FLOAT_V(AS_INT_V(low & 0xffffu)) + (view.samples_left - view.center_x);
+  const float_v y0 = TO_FLOAT_V(AS_INT_V(low >> 16)) + (view.samples_top - view.center_y);
+  const float_v x1 = TO_FLOAT_V(AS_INT_V(high & 0xffffu)) + (view.samples_right - 1.0f - view.center_x);
+  const float_v y1 = TO_FLOAT_V(AS_INT_V(high >> 16)) + (view.samples_bottom - 1.0f - view.center_y);
   const float_v most = block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, x0, y0, x1, y1);
 #if FIXED
   return clamp_nearness(most, setup.least, setup.most);
@@ -223,10 +224,10 @@ kernel void setup_triangles(
 #else
     const float_v slack = reach * reach * (BOUND_SLACK / view.focal) + SNAP_SLACK;
 #endif
-    int_v x0 = first_center(x_low - slack, view.center_x, view.width);
-    int_v y0 = first_center(y_low - slack, view.center_y, view.height);
-    int_v x1 = end_center(x_high + slack, view.center_x, view.width);
-    int_v y1 = end_center(y_high + slack, view.center_y, view.height);
+    int_v x0 = first_sample(x_low - slack, view.center_x, view.samples_right, view.width);
+    int_v y0 = first_sample(y_low - slack, view.center_y, view.samples_bottom, view.height);
+    int_v x1 = end_sample(x_high + slack, view.center_x, view.samples_left, view.width);
+    int_v y1 = end_sample(y_high + slack, view.center_y, view.samples_top, view.height);
 #if FILTERED
     const int_v unbounded = !(slack < 1.0e9f);
     x0 = unbounded ? (int_v)(0) : x0;

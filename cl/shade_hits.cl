@@ -114,9 +114,9 @@ static inline float4 meet_plane(View view, float4 p0, float4 p1, float4 p2, floa
   return (float4)(at_x.high, at_y.high, at_z.high, 0.0f) / view.world_scale;
 }
 
-// Evaluates the visible triangle at the pixel (column, row) of the image.
+// Evaluates the visible triangle at the sample (x, y) of the viewport.
 static inline Hit find_hit(
-    View view, uint prim_id, uint column, uint row, float4 direction,
+    View view, uint prim_id, float x, float y, float4 direction,
     global const float4 *positions, global const uint *indices, global const float4 *normals) {
   Hit hit;
   hit.at.prim_id = prim_id;
@@ -126,9 +126,8 @@ static inline Hit find_hit(
   const float4 p0 = positions[hit.at.i0], p1 = positions[hit.at.i1], p2 = positions[hit.at.i2];
   const Vec3 a = {p0.x, p0.y, p0.z}, b = {p1.x, p1.y, p1.z}, c = {p2.x, p2.y, p2.z};
   const TriangleSetup setup = setup_triangles_3d(canonical_triangles(a, b, c), view);
-  const float x = (float)column + (0.5f - view.center_x), y = (float)row + (0.5f - view.center_y);
   float v[3];
-  for (uint i = 0; i < 3; ++i) v[i] = edge_value(setup.edge[i].c, setup.edge[i].gx, setup.edge[i].gy, x, y);
+  for (uint i = 0; i < 3; ++i) v[i] = edge_value(setup.edge[i].c, setup.edge[i].gx, setup.edge[i].gy, x - view.center_x, y - view.center_y);
   // Canonical order began with vertex 1 or 2: turn the weights back to the order of the file.
   if (is_first(b, c, a))
     weigh_vertices(&hit.at, v[2], v[0], v[1]);
@@ -136,7 +135,7 @@ static inline Hit find_hit(
     weigh_vertices(&hit.at, v[1], v[2], v[0]);
   else
     weigh_vertices(&hit.at, v[0], v[1], v[2]);
-  hit.position = meet_plane(view, p0, p1, p2, (float)column + 0.5f, (float)row + 0.5f, &hit.t);
+  hit.position = meet_plane(view, p0, p1, p2, x, y, &hit.t);
   hit.direction = direction;
   const Vec3 plane = cross3(subtract(b, a), subtract(c, a));
   hit.geometric_normal = unit((float4)(plane.x, plane.y, plane.z, 0.0f));
@@ -216,13 +215,24 @@ kernel void shade_hits(
     global const float *restrict srgb_to_linear,   // [256]
     global const Light *restrict lights,           // [light_count]
     global const uint *restrict visible_prims,     // [pixel_count] prim_id or NO_HIT
+#if SAMPLE_LIST
+    global const uint2 *restrict places,           // [pixel_count] pixel of the band; sample in it, 256ths: x | y << 16
+#endif
     global float *restrict values,                 // [planes * pixel_count]
     global uint *restrict ids,                     // [2 * pixel_count] object, material
     global uchar *restrict open_pixels)            // [pixel_count] 1 where the hit is a BLEND surface
 {
   const uint pixel = get_global_id(0);
   if (pixel >= pixel_count) return;
-  const uint column = pixel % view.width, row = pixel / view.width + (view.band_row << TILE_LOG2);
+#if SAMPLE_LIST
+  const uint place = places[pixel].x, position = places[pixel].y;
+  const float sample_x = (float)(position & 0xffffu) / 256.0f, sample_y = (float)(position >> 16) / 256.0f;
+#else
+  const uint place = pixel;
+  const float sample_x = view.sample_x, sample_y = view.sample_y;
+#endif
+  const float x = (float)(place % view.width) + sample_x;
+  const float y = (float)(place / view.width + (view.band_row << TILE_LOG2)) + sample_y;
   const size_t stride = pixel_count;
   global float *out = values + pixel;
 
@@ -230,7 +240,7 @@ kernel void shade_hits(
   const float4 direction = view.axis;
 #else
   const float4 direction =
-      (view.first + view.tangent_x * ((float)column + 0.5f)) + view.tangent_y * ((float)row + 0.5f);
+      (view.first + view.tangent_x * x) + view.tangent_y * y;
 #endif
   if (planes.ray != PLANE_NONE && layer == 0) {
     store3(out + planes.ray * stride, stride, direction);
@@ -264,7 +274,7 @@ kernel void shade_hits(
   }
 
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
-  const Hit hit = find_hit(view, prim_id, column, row, direction, positions, indices, normals);
+  const Hit hit = find_hit(view, prim_id, x, y, direction, positions, indices, normals);
   const uint material_id = material_ids[prim_id];
   if (layer == 0) {
     if (planes.depth != PLANE_NONE) out[planes.depth * stride] = hit.t;

@@ -20,6 +20,7 @@ from clrast.opencl.runtimes import PREFETCHING
 from clrast.options import RenderOptions
 from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Scene
+from clrast.shading.antialias import check_bands, make_resolver, resolver_bytes
 from clrast.shading.effects import EffectPlan
 from clrast.shading.shade import Shader, channel_names
 from clrast.shading.surfaces import MASK_ARGUMENTS, SurfaceBuffers
@@ -30,6 +31,7 @@ from clrast.visibility.frusta import FrustumTraversal, stack_capacity, traversal
 from clrast.visibility.geometry import build_geometry
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import AUTO, SNAPPED_DEFAULT, Method, resolve_method
+from clrast.visibility.sample_passes import SamplePasses
 from clrast.visibility.screen_bounds import BOUND_BYTES
 from clrast.visibility.settle import ContenderList, settle_bytes
 from clrast.visibility.tiles import TileRasterizer
@@ -157,21 +159,19 @@ class RenderJob:
         self.times["upload"] = 1000 * (time.perf_counter() - started)
         self.scene_bytes = self.geometry.nbytes + self.surfaces.nbytes
         self.bands = self._plan_bands()
+        check_bands(self.options, len(self.bands))
         started = time.perf_counter()
         self.work = WorkCounters(device, self.bands.max_pixels) if self.features.counters else None
         self.contenders = self._make_contenders()
         self.tiles = self._make_visibility()
         self.shader = Shader(
-            device,
-            self.features,
-            self.geometry,
-            self.surfaces,
-            self.groups,
-            len(scene.lights),
-            self.bands.max_pixels,
+            device, self.features, self.geometry, self.surfaces, self.groups, len(scene.lights), self.bands.max_pixels
         )
+        layers = self._render_layers if plan["alpha blend"] else None
+        self.resolver = make_resolver(device, self.features, options, self.shader, self.bands.max_pixels, layers)
+        self.sample_passes = SamplePasses(self.tiles, self._timed)
         self.times["kernels"] = 1000 * (time.perf_counter() - started)
-        self.hit_count = 0
+        self.hit_count = self.samples_decided = 0
         self.launches = self.passes = self.reference_peak = self.band_count = 0
 
     def _make_contenders(self) -> ContenderList | None:
@@ -197,6 +197,7 @@ class RenderJob:
             per_pixel += 4 + 4 * planes
         if self.features.counters:
             per_pixel += 4 * COST_PLANES
+        resolving, piece = resolver_bytes(self.options, self.plan["alpha blend"])
         fixed, of_square = 0, 0
         if not self.method.tiles:
             fixed, of_square = traversal_bytes(self.features, self.geometry.bvh, self.scene.triangle_count)
@@ -208,8 +209,8 @@ class RenderJob:
             self.tile_log2,
             fixed_bytes=self.scene_bytes + BOUND_BYTES * self.scene.triangle_count + fixed,
             square_bytes=of_square,
-            pixel_bytes=per_pixel,
-            piece_bytes=4 * max(1, len(channel_names(self.groups))),
+            pixel_bytes=per_pixel + resolving,
+            piece_bytes=max(4, piece, 4 * len(channel_names(self.groups))),
             budget=self.options.memory or int(MEMORY_SHARE * self.device.global_memory_bytes),
             max_piece=self.device.max_allocation_bytes,
             limited=loop_limit(self.device) is not None,
@@ -258,24 +259,25 @@ class RenderJob:
     def render_frame(self, channels: dict[str, np.ndarray], first: bool) -> None:
         """Render all bands into `channels`; keeps the smallest time of each stage unless `first`."""
         self._frame_times = {}
-        self.hit_count = self.passes = self.band_count = 0
-        before = self._launch_count()
+        self.hit_count = self.passes = self.band_count = self.samples_decided = 0
+        self.sample_passes.count = 0
+        if self.resolver is not None:
+            self.resolver.counts.clear()
+        before = self._count_launches()
         if self.work is not None:
             self.work.clear()
-        self._timed("setup", self.tiles.setup)
+        self.sample_passes.set_up_center()
         for row, rows in self.bands:
             self._render_band(channels, row, rows)
-        self.launches = self._launch_count() - before
+        self.launches = self._count_launches() - before
+        self.passes += self.sample_passes.count
         for stage, spent in self._frame_times.items():
             self.times[stage] = spent if first else min(spent, self.times[stage])
 
-    def _launch_count(self) -> int:
-        """Kernels launched by this job's stages so far."""
-        settling = 0 if self.contenders is None else self.contenders.launches
-        return self.tiles.launches + self.shader.launches + settling
-
     def _render_band(self, channels: dict[str, np.ndarray], row: int, rows: int) -> None:
         width, height = self.options.size
+        passes_before = self.sample_passes.count
+        self.sample_passes.return_to_center()
         references = self._timed("bin", partial(self.tiles.start_band, row, rows))
         if self.options.memory is not None and self.bytes_device() > self.options.memory:
             self._split_band(channels, row, rows)
@@ -293,14 +295,24 @@ class RenderJob:
         self._timed("shade", lambda: self.shader.shade(self.tiles.view, self.tiles.visible_prims, pixel_count, 0))
         self._timed("resolve", lambda: self._read_prims(channels, first_row, row_count))
         if self.plan["alpha blend"]:
-            self._render_layers(pixel_count)
+            self._render_layers(pixel_count, self.shader)
+        if self.resolver is not None:
+            self.resolver.resolve_band(self.sample_passes, row, rows, pixel_count, self.shader)
+        self.samples_decided += (1 + self.sample_passes.count - passes_before) * pixel_count
         self._timed("resolve", lambda: self.shader.read(channels, first_row, row_count, width))
         if self.work is not None and "cost" in self.options.aov:
             costs = tuple(channels[name] for name in CHANNEL_GROUPS["cost"])
             self.work.read_cost(costs, first_row, row_count, pixel_count)
 
+    def _count_launches(self) -> int:
+        """Kernels launched by this job's stages so far."""
+        resolving = () if self.resolver is None else (self.resolver, self.resolver.shader)
+        settling = () if self.contenders is None else (self.contenders,)
+        return sum(each.launches for each in (self.tiles, self.shader, *settling, *resolving))
+
     def _split_band(self, channels: dict[str, np.ndarray], row: int, rows: int) -> None:
         """Two bands in place of one whose lists do not fit the budget."""
+        check_bands(self.options, 2)
         if rows == 1:
             raise CapacityError(
                 f"--memory {self.options.memory} is too small: one row of tiles needs {self.bytes_device()} bytes: "
@@ -316,20 +328,20 @@ class RenderJob:
             if "id.prim" in channels:
                 channels["id.prim"][first_row : first_row + row_count] = prims
 
-    def _render_layers(self, pixel_count: int) -> None:
+    def _render_layers(self, pixel_count: int, shader: Shader) -> None:
         """Add what lies behind BLEND surfaces, layer by layer; each layer lies strictly behind the last."""
         layer, size = 0, 4 * pixel_count
         nearness_size = size * self.features.nearness_planes
         front_nearness, front_prims = (buffers.create(self.device, each) for each in (nearness_size, size))
         assert self.tiles.nearness is not None
-        while self.shader.has_open_pixels(pixel_count):
+        while shader.has_open_pixels(pixel_count):
             layer += 1
             buffers.copy(self.device, self.tiles.nearness, front_nearness, nearness_size)
             buffers.copy(self.device, self.tiles.visible_prims, front_prims, size)
-            self.shader.close_pixels(front_nearness, front_prims, pixel_count)
+            shader.close_pixels(front_nearness, front_prims, pixel_count)
             self._timed("visibility", partial(self.tiles.rasterize, layer, (front_nearness, front_prims)))
             self.passes += 1
-            shade = partial(self.shader.shade, self.tiles.view, self.tiles.visible_prims, pixel_count, layer)
+            shade = partial(shader.shade, self.tiles.view, self.tiles.visible_prims, pixel_count, layer)
             self._timed("shade", shade)
 
     def bytes_device(self) -> int:
@@ -348,17 +360,15 @@ class RenderJob:
             return {}, {}
         found = self.work.collect()
         known = {name: found.pop(name) for name in ("setups", "edge_evaluations", "traversal_steps")}
-        known["intersection_tests"] = found.pop("samples_tested")
-        return known, found
+        return {**known, "intersection_tests": found.pop("samples_tested")}, found
 
     def stats(self) -> dict[str, Any]:
         """The stats of DESIGN section 2; what is not counted is None."""
         counted, more_counted = self.work_counts()
-        width, height = self.options.size
         triangles = self.scene.triangle_count
         return {
             "camera": self.vectors.named(),
-            "image": {"width": width, "height": height},
+            "image": dict(zip(("width", "height"), self.options.size, strict=True)),
             "device": {"name": self.device.name, "platform": self.device.platform, "version": self.device.version},
             "method": self.method.name,
             "method_requested": self.options.method,
@@ -370,20 +380,20 @@ class RenderJob:
             "bytes_per_triangle": self.bytes_device() / triangles,
             "counts": {
                 "triangles": triangles,
-                "samples": width * height,
+                "samples": self.samples_decided,
                 "hits": self.hit_count,
-                "rays_primary": width * height,
-                "rays_shadow": 0,
-                "rays_reflection": 0,
-                "rays_refraction": 0,
-                "rays_indirect": 0,
+                "rays_primary": self.samples_decided,
+                **{f"rays_{kind}": 0 for kind in ("shadow", "reflection", "refraction", "indirect")},
                 "traversal_steps": 0 if not self.method.needs_bvh else None,
                 "kernel_launches": self.launches,
                 "passes": self.passes,
                 **counted,
             },
-            "other_counts": {"bands": self.band_count, "tile_references": self.reference_peak, **more_counted,
-                             **({} if self.contenders is None else self.contenders.counts)},
+            "other_counts": {
+                **{"bands": self.band_count, "tile_references": self.reference_peak, **more_counted},
+                **({} if self.resolver is None else self.resolver.counts),
+                **({} if self.contenders is None else self.contenders.counts),
+            },
             "times_ms": {
                 **{stage: 0.0 for stage in ("build", "setup", "bin", "visibility", "shade", "resolve", "plan")},
                 **self.times,

@@ -18,6 +18,7 @@ from clrast.errors import UsageError
 from clrast.visibility.methods import AUTO, SNAPPED_METHODS, resolve_method
 from clrast.visibility.methods import METHODS as METHOD_TABLE
 from clrast.visibility.oracles import parse_oracle
+from clrast.visibility.sample_patterns import FILTERS, parse_antialiasing
 
 PRECISIONS = ("fast", "ordered", "midpoint", "double", "fixed", "exact")
 AVAILABLE_PRECISIONS = PRECISIONS
@@ -53,7 +54,6 @@ _INTEGER = re.compile(r"[+-]?[0-9]{1,30}")
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _SIZE = re.compile(r"([0-9]{1,30})[xX]([0-9]{1,30})")
 _MEMORY = re.compile(r"([0-9]{1,18}(?:\.[0-9]{0,18})?)\s*([A-Za-z]*)")
-_ANTIALIASING = re.compile(r"none|ssaa:[0-9]+|msaa:[0-9]+|csaa:[0-9]+\+[0-9]+|auto:[0-9.eE+-]+")
 _MEMORY_UNITS = {"": 1, "b": 1}
 for _power, _letter in enumerate("kmgt", start=1):
     _MEMORY_UNITS[_letter] = _MEMORY_UNITS[_letter + "ib"] = 1024**_power
@@ -211,9 +211,7 @@ def parse_memory(option: str, value: Any) -> int:
 
 
 def _parse_antialiasing(option: str, value: Any) -> str:
-    if not isinstance(value, str) or not _ANTIALIASING.fullmatch(value):
-        raise UsageError(f"{option} {value!r} is unknown: use none")
-    return check_choice(option, value, (value,), ("none",))
+    return parse_antialiasing(option, value).name
 
 
 def _parse_samples(option: str, value: Any) -> int:
@@ -279,6 +277,7 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "repeat": _count(0, 1_000_000),
     "aa": _parse_antialiasing,
     "shading_rate": _choice(("pixel", "sample")),
+    "filter": _choice(FILTERS),
     "evaluation": _choice(("direct", "incremental")),
     "samples": _parse_samples,
     "seed": _count(0, MAX_SEED),
@@ -317,6 +316,7 @@ class RenderOptions:
     repeat: int = 0
     aa: str = "none"
     shading_rate: str = "pixel"
+    filter: str = "box"
     evaluation: str = "direct"
     samples: int = 1
     seed: int = 0
@@ -351,6 +351,10 @@ class RenderOptions:
                 f"--precision fixed snaps projected vertices, and {self.method} projects none: "
                 f"use --method {listed(SNAPPED_METHODS)}, or another rung"
             )
+        if self.filter != "box" and self.aa.startswith("auto"):
+            raise UsageError(f"--filter {self.filter} needs as many samples in each pixel: use --aa ssaa:N or msaa:N")
+        if self.shading_rate == "sample" and self.aa.startswith("csaa"):
+            raise UsageError("--shading-rate sample: csaa's coverage samples have no shading: use --aa msaa:N")
 
 
 OPTION_NAMES = tuple(each.name for each in fields(RenderOptions))

@@ -63,10 +63,16 @@ Precision = Annotated[
     ),
 ]
 Antialiasing = Annotated[
-    Texts, _option("--aa", metavar="MODE", text="none [default]; others in later versions.", panel=ACCURACY)
+    Texts, _option("--aa", metavar="MODE", text="none [default], ssaa:N, msaa:N, csaa:S+C or auto:EPS.", panel=ACCURACY)
 ]
 ShadingRate = Annotated[
     Texts, _option("--shading-rate", metavar="RATE", text="pixel [default] or sample.", panel=ACCURACY)
+]
+Filter = Annotated[
+    Texts,
+    _option(
+        "--filter", metavar="NAME", text="Of samples: box [default], tent, gaussian, blackman-harris.", panel=ACCURACY
+    ),
 ]
 Evaluation = Annotated[
     Texts,

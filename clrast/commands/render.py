@@ -59,6 +59,7 @@ def render_command(
     precision: p.Precision = None,
     aa: p.Antialiasing = None,
     shading_rate: p.ShadingRate = None,
+    filter: p.Filter = None,
     evaluation: p.Evaluation = None,
     samples: p.Samples = None,
     seed: p.Seed = None,

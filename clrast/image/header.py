@@ -41,6 +41,10 @@ def resolved_header(
         "aa": options.aa,
         "effects": effects_text(effects_on),
     }
+    if options.aa != "none" and options.shading_rate != "pixel":
+        header["shading_rate"] = options.shading_rate
+    if options.aa != "none" and options.filter != "box":
+        header["filter"] = options.filter
     if options.evaluation != "direct":
         header["evaluation"] = options.evaluation
     if options.method != AUTO:

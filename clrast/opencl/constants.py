@@ -106,6 +106,24 @@ WORK_COUNTERS = (
 
 WORK_COUNTER_COUNT = len(WORK_COUNTERS)
 
+LIST_CHUNK = 256
+"""Entries that one work item counts and lists where lists are made by prefix sums; a multiple of 16."""
+
+MAX_SHARED_SAMPLES = 32
+"""Most samples of a pixel whose shading is shared."""
+
+SAME_SURFACE_COSINE = 63.0 / 64.0
+"""Triangles of a pixel whose normals are within this cosine (10 degrees) may count as one surface."""
+
+FINE_TRIANGLE_PIXELS = 4.0
+"""Triangles lower than this have neighbours in a pixel that none of its samples may show."""
+
+SURFACE_OF_CENTER = 0
+"""Of a sample: its surface is what the pixel's centre shows."""
+SURFACE_UNKNOWN = 254
+"""Of a coverage sample: no known triangle covers it."""
+SURFACE_NOTHING = 255
+
 LIGHT_POINT = 0
 LIGHT_SPOT = 1
 LIGHT_DIRECTIONAL = 2

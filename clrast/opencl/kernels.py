@@ -237,7 +237,7 @@ def arguments_from_source(source: str, kernel: str) -> list[Argument]:
     return found
 
 
-SCALAR_PROGRAMS = ("prepare_triangles.cl", "shade_hits.cl", "settle_contenders.cl")
+SCALAR_PROGRAMS = ("prepare_triangles.cl", "shade_hits.cl", "settle_contenders.cl", "share_shading.cl")
 """Programs whose work-items are the lanes: vectors have one lane there, and edges are 3D, whatever decides samples."""
 
 RAY_PROGRAMS = ("trace_rays.cl",)

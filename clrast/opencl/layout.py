@@ -30,14 +30,18 @@ VIEW = np.dtype(
         ("center_y", "<f4"),
         ("focal", "<f4"),  # pixels: scale of the screen's rounding errors (see cl/setup_triangles.cl)
         ("world_scale", "<f4"),  # power of two by which positions and origin are multiplied on the device
+        ("sample_x", "<f4"),  # where in its pixel a sample lies: a multiple of 1/256 in [0, 1), the centre by default
+        ("sample_y", "<f4"),
+        ("samples_left", "<f4"),  # where samples lie in any pass that shares the triangles' bounds, edges included
+        ("samples_top", "<f4"),
+        ("samples_right", "<f4"),
+        ("samples_bottom", "<f4"),
         ("width", "<u4"),  # pixels
         ("height", "<u4"),
         ("tile_columns", "<u4"),
         ("tile_rows", "<u4"),
         ("band_row", "<u4"),  # first tile row of this band
         ("band_rows", "<u4"),  # tile rows in this band
-        ("unused0", "<u4"),
-        ("unused1", "<u4"),
     ]
 )
 """The camera and the image, as every kernel gets them."""

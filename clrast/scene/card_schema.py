@@ -82,6 +82,7 @@ class RenderTable(Table):
     effects: OptionText | None = None
     aa: OptionText | None = None
     shading_rate: OptionText | None = None
+    filter: OptionText | None = None
     evaluation: OptionText | None = None
     intersection: OptionText | None = None
     accelerator: OptionText | None = None

@@ -64,17 +64,36 @@ class Shader:
             first = channel_names(groups).index(GROUP_CHANNELS[group][0]) if group in groups and group != "id" else -1
             self._planes[group] = PLANE_NONE if first < 0 else first
         self._planes["id"] = 0 if self.has_ids else PLANE_NONE
-        self.values = buffers.create(device, 4 * len(self.names) * max_pixels)
-        self.ids = buffers.create(device, 4 * (2 * max_pixels if self.has_ids else 1))
-        self.open_pixels = buffers.create(device, max_pixels)
+        self._capacity = max_pixels
+        self._make_planes()
+
+    def sibling(self, features: Features, groups: tuple[str, ...], max_pixels: int) -> Shader:
+        """Another shader of the same scene."""
+        return Shader(self.device, features, self.geometry, self.surfaces, groups, self.light_count, max_pixels)
+
+    def make_room(self, sample_count: int) -> None:
+        """Grow the planes for so many samples; what they held may be lost."""
+        if sample_count > self._capacity:
+            self._capacity = sample_count + sample_count // 8
+            self._make_planes()
+
+    def _make_planes(self) -> None:
+        self.values = buffers.create(self.device, 4 * len(self.names) * self._capacity)
+        self.ids = buffers.create(self.device, 4 * (2 * self._capacity if self.has_ids else 1))
+        self.open_pixels = buffers.create(self.device, self._capacity)
 
     @staticmethod
     def bytes_per_pixel(groups: tuple[str, ...]) -> int:
         """Device bytes that a pixel of a band takes here."""
         return 4 * len(channel_names(groups)) + (8 if "id" in groups else 0) + 1
 
-    def shade(self, view: np.ndarray, visible_prims: Any, pixel_count: int, layer: int) -> None:
-        """Enqueue the shading of one layer of a band; layers after the first only add colour behind it."""
+    def shade(
+        self, view: np.ndarray, visible_prims: Any, pixel_count: int, layer: int, places: Any | None = None
+    ) -> None:
+        """Enqueue the shading of one layer of a band; layers after the first only add colour behind it.
+
+        places : with features.sample_list [pixel_count] uint2, which samples: pixel of the band, place in it.
+        """
         self._program.launch(
             "shade_hits",
             -(-pixel_count // WORK_GROUP) * WORK_GROUP,
@@ -88,6 +107,7 @@ class Shader:
             indices=self.geometry.indices,
             **self.surfaces.buffers,
             visible_prims=visible_prims,
+            **({} if places is None else {"places": places}),
             values=self.values,
             ids=self.ids,
             open_pixels=self.open_pixels,

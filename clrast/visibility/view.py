@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from clrast.opencl.layout import CAMERA, VIEW
 from clrast.scene.camera import CameraVectors
+from clrast.visibility.sample_patterns import CENTER, UNITS, Position
 
 Vector = tuple[float, float, float]
 
@@ -84,6 +86,18 @@ def _find_reaches(view: np.ndarray, camera: CameraVectors, center: Vector, tange
         view["direction_reach"][:3] = [upwards * c for c in _spread(view, center, *tangents)]
 
 
+def place_samples(view: np.ndarray, position: Position) -> None:
+    """Samples of a pass lie there in their pixels, 256ths."""
+    view["sample_x"], view["sample_y"] = position[0] / UNITS, position[1] / UNITS
+
+
+def spread_samples(view: np.ndarray, positions: Sequence[Position]) -> None:
+    """Bounds of triangles are to hold for samples at all these positions."""
+    columns, rows = [x for x, _ in positions], [y for _, y in positions]
+    view["samples_left"], view["samples_top"] = min(columns) / UNITS, min(rows) / UNITS
+    view["samples_right"], view["samples_bottom"] = max(columns) / UNITS, max(rows) / UNITS
+
+
 def build_view(camera: CameraVectors, low: np.ndarray, high: np.ndarray, tile_log2: int) -> np.ndarray:
     """The `View` struct (one element) for a camera and a scene whose bounding box is low .. high.
 
@@ -116,6 +130,8 @@ def build_view(camera: CameraVectors, low: np.ndarray, high: np.ndarray, tile_lo
     view["tangent_x"] = _split(tangent_x)[0]
     view["tangent_y"] = _split(tangent_y)[0]
     view["center_x"], view["center_y"] = camera.width / 2, camera.height / 2
+    place_samples(view, CENTER)
+    spread_samples(view, (CENTER,))
     view["world_scale"] = scale
     reach_center = _times(center, scale) if camera.projection == "orthographic" else center
     _find_reaches(view, camera, reach_center, (tangent_x, tangent_y))

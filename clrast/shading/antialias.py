@@ -1,0 +1,88 @@
+"""Which way of antialiasing a render takes (`--aa`, `--filter`, `--shading-rate`), and the memory that it needs.
+
+Colour is what samples are summed of. Every other channel is that of the sample at the pixel's centre, whatever `--aa`
+says: ids, depth and normals are never blended.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Protocol
+
+from clrast.errors import CapacityError
+from clrast.options import RenderOptions
+from clrast.shading.adaptive import STATE_BYTES, AdaptiveSampler
+from clrast.shading.filters import reach_of
+from clrast.shading.multisample import Multisampler
+from clrast.shading.shade import Shader
+from clrast.shading.supersample import Layers, Supersampler
+from clrast.visibility.sample_patterns import Antialiasing, Pattern, parse_antialiasing
+
+if TYPE_CHECKING:
+    from clrast.opencl.device import Device
+    from clrast.opencl.features import Features
+    from clrast.visibility.sample_passes import SamplePasses
+
+
+class Resolver(Protocol):
+    """Replaces the colour of a band, shaded at the pixels' centres, by that of its samples."""
+
+    counts: dict[str, int]
+    shader: Shader
+
+    @property
+    def launches(self) -> int: ...
+
+    def resolve_band(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, target: Shader) -> None: ...
+
+
+def antialiasing_of(options: RenderOptions) -> Antialiasing:
+    """What the options ask for; `none` where no colour is asked for, since nothing else is antialiased."""
+    return parse_antialiasing("--aa", options.aa if "color" in options.aov else "none")
+
+
+def shares_shading(wanted: Antialiasing, options: RenderOptions, blends: bool) -> bool:
+    """Whether samples of one surface share its shading. Where surfaces blend each sample has layers of its own."""
+    return wanted.kind in ("msaa", "csaa") and options.shading_rate == "pixel" and not blends
+
+
+def resolver_bytes(options: RenderOptions, blends: bool) -> tuple[int, int]:
+    """Device bytes a pixel of a band takes for antialiasing, and those of them in the largest buffer."""
+    wanted = antialiasing_of(options)
+    if wanted.kind == "none":
+        return 0, 0
+    if wanted.kind == "auto":
+        return AdaptiveSampler.bytes_per_pixel(), STATE_BYTES
+    if not shares_shading(wanted, options, blends):
+        return Supersampler.bytes_per_pixel(), 20
+    at_worst = options.memory is not None
+    return Multisampler.bytes_per_pixel(wanted, options.filter, at_worst), max(20, 4 * wanted.depth_count)
+
+
+def check_bands(options: RenderOptions, band_count: int) -> None:
+    """Raises CapacityError where a filter takes samples of neighbours that are in another band."""
+    if band_count > 1 and antialiasing_of(options).kind != "none" and reach_of(options.filter):
+        raise CapacityError(
+            f"--filter {options.filter} takes samples of neighbouring pixels, and the image does not fit into memory "
+            "as a whole here: use --filter box, a smaller --size or more --memory"
+        )
+
+
+def make_resolver(
+    device: Device, features: Features, options: RenderOptions, shader: Shader, max_pixels: int, layers: Layers | None
+) -> Resolver | None:
+    """The way that the options ask for, or None. shader : of the render; layers : where surfaces blend."""
+    wanted = antialiasing_of(options)
+    if wanted.kind == "none":
+        return None
+    if wanted.kind == "auto":
+        sampling = replace(features, sample_list=layers is None)
+        color = shader.sibling(sampling, ("color",), 1 if layers is None else max_pixels)
+        return AdaptiveSampler(device, features, wanted, color, max_pixels, layers)
+    if shares_shading(wanted, options, layers is not None):
+        listed = shader.sibling(replace(features, sample_list=True), ("color",), 1)
+        return Multisampler(device, features, wanted, options.filter, listed, max_pixels)
+    color = shader.sibling(features, ("color",), max_pixels)
+    # Nothing is shared: csaa shades those samples that have visibility of their own.
+    pattern = Pattern(wanted.pattern.name, wanted.pattern.positions[: wanted.depth_count])
+    return Supersampler(device, features, pattern, options.filter, color, max_pixels, layers)

@@ -1,0 +1,135 @@
+"""Antialiasing with shared shading: visibility at every sample, shading once a pixel and surface (msaa, csaa).
+
+The kernels are cl/share_shading.cl, which says what is one surface, and cl/resolve_samples.cl.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from clrast.opencl import buffers, kernels
+from clrast.opencl.constants import LIST_CHUNK
+from clrast.opencl.device import Device
+from clrast.opencl.features import Features
+from clrast.shading.edge_pixels import BYTES_PER_PIXEL, EdgePixels, padded
+from clrast.shading.filters import reach_of, weight_table
+from clrast.shading.shade import WORK_GROUP, Shader
+from clrast.visibility.sample_passes import SamplePasses
+from clrast.visibility.sample_patterns import Antialiasing
+
+TYPICAL_SURFACES = 2
+"""Surfaces an edge pixel that memory is planned for where no budget is given."""
+
+
+def surface_distance(view: np.ndarray) -> float:
+    """Half the size of a pixel: in device units where rays are parallel, else as a share of t."""
+    x, y = (math.sqrt(sum(float(c) ** 2 for c in view[name][:3].tolist())) for name in ("tangent_x", "tangent_y"))
+    return float(np.float32(0.5 * min(x, y)))
+
+
+class Multisampler:
+    """Shares the shading of a band's samples. shader : of colour alone, with features.sample_list."""
+
+    def __init__(
+        self,
+        device: Device,
+        features: Features,
+        wanted: Antialiasing,
+        filter_name: str,
+        shader: Shader,
+        max_pixels: int,
+    ) -> None:
+        self.device, self.wanted, self.shader = device, wanted, shader
+        self.counts: dict[str, int] = {}
+        self.own_launches = 0
+        self.reach = reach_of(filter_name)
+        self.edges = EdgePixels(device, features, wanted.depth_count, max_pixels)
+        self._sharing = kernels.build(device, "share_shading.cl", features)
+        self._resolving = kernels.build(device, "resolve_samples.cl", features)
+        packed = [x | y << 16 for x, y in wanted.pattern.positions]
+        self._positions = buffers.upload(device, np.array(packed, dtype=np.uint32))
+        self._weights = buffers.upload(device, weight_table(filter_name, wanted.pattern))
+        self._sums = buffers.create(device, 20 * max_pixels) if self.reach else None
+
+    @property
+    def launches(self) -> int:
+        """Kernels launched so far, the shader's apart."""
+        return self.own_launches + self.edges.launches
+
+    @staticmethod
+    def bytes_per_pixel(wanted: Antialiasing, filter_name: str, at_worst: bool) -> int:
+        """Device bytes a pixel of a band takes here; at_worst : where each pixel shows all that it can."""
+        surfaces = wanted.depth_count if at_worst else min(TYPICAL_SURFACES, wanted.depth_count)
+        of_edge = 4 + len(wanted.pattern) + 1 + 4 + surfaces * (12 + Shader.bytes_per_pixel(("color",)))
+        return 4 * wanted.depth_count + BYTES_PER_PIXEL + of_edge + (20 if reach_of(filter_name) else 0)
+
+    def resolve_band(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, target: Shader) -> None:
+        """Replace the colour of a band in `target`, shaded at the centres, by that of its samples. Waits."""
+        tiles, timed = passes.tiles, passes.timed
+        decided = self.wanted.pattern.positions[: self.wanted.depth_count]
+        self.edges.decide(passes, row, rows, pixel_count, decided, decided)
+        edge_count = timed("resolve", partial(self._list_edges, pixel_count))
+        listed_count = timed("resolve", partial(self._list_surfaces, tiles.view, edge_count)) if edge_count else 0
+        if listed_count:
+            lists = self.edges.room("shaded_prims"), listed_count, 0, self.edges.room("places")
+            timed("shade", partial(self.shader.shade, tiles.view, *lists))
+        if edge_count or self.reach:
+            timed("resolve", partial(self._resolve, tiles.view, pixel_count, edge_count, listed_count, target))
+        for name, count in (("edge_pixels", edge_count), ("samples_shaded", pixel_count + listed_count)):
+            self.counts[name] = self.counts.get(name, 0) + count
+
+    def _list_edges(self, pixel_count: int) -> int:
+        self.edges.flag(pixel_count)
+        return self.edges.list_flagged(pixel_count)
+
+    def _list_surfaces(self, view: np.ndarray, edge_count: int) -> int:
+        """Surfaces of all samples, and the list of those to be shaded; returns its length. Waits."""
+        room = self.edges.room
+        of_samples = {
+            "edge_count": edge_count, "depth_count": self.wanted.depth_count,
+            "sample_count": len(self.wanted.pattern), "prim_stride": self.edges.stride,
+            "sample_positions": self._positions, "edge_pixels": room("edge_pixels"),
+            "sample_prims": self.edges.prims, "surfaces": room("surfaces", edge_count * len(self.wanted.pattern)),
+            "new_surfaces": room("new_surfaces", edge_count),
+        }  # fmt: skip
+        geometry = self.shader.geometry
+        self._launch(
+            "group_samples", padded(edge_count), WORK_GROUP, view=view, surface_distance=surface_distance(view),
+            positions=geometry.positions, indices=geometry.indices, center_prims=self.edges.center,
+            **self.shader.surfaces.named("object_ids", "material_ids"), **of_samples,
+        )  # fmt: skip
+        count = self.edges.sum_entries(room("new_surfaces"), edge_count)
+        self._launch(
+            "list_surfaces", -(-edge_count // LIST_CHUNK), 1, begins=self.edges.begins, **of_samples,
+            first_surfaces=room("first_surfaces", 4 * edge_count),
+            shaded_prims=room("shaded_prims", 4 * count), places=room("places", 8 * count),
+        )  # fmt: skip
+        self.shader.make_room(count)
+        return count
+
+    def _resolve(self, view: np.ndarray, pixel_count: int, edge_count: int, listed_count: int, target: Shader) -> None:
+        shared = {
+            "pixel_count": pixel_count, "sample_count": len(self.wanted.pattern), "listed_count": listed_count,
+            "surfaces": self.edges.room("surfaces"), "first_surfaces": self.edges.room("first_surfaces"),
+            "shaded": self.shader.values, "values": target.values,
+        }  # fmt: skip
+        if not self.reach:
+            edges = {"edge_count": edge_count, "edge_pixels": self.edges.room("edge_pixels")}
+            self._resolving.launch("resolve_surfaces", padded(edge_count), WORK_GROUP, **edges, **shared)
+            self.own_launches += 1
+            return
+        self._resolving.launch(
+            "filter_surfaces", padded(pixel_count), WORK_GROUP, width=int(view["width"]), reach=self.reach,
+            weights=self._weights, edge_places=self.edges.places, sums=self._sums, **shared,
+        )  # fmt: skip
+        done = {"pixel_count": pixel_count, "sums": self._sums, "values": target.values}
+        self._resolving.launch("divide_sums", padded(pixel_count), WORK_GROUP, **done)
+        self.own_launches += 2
+
+    def _launch(self, kernel: str, items: int, group: int, **arguments: Any) -> None:
+        self._sharing.launch(kernel, items, group, **arguments)
+        self.own_launches += 1
