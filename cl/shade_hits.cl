@@ -6,89 +6,17 @@
 //   hit = visible_prims[pixel];  setup of its canonical form;  b_i = V_i / (V_0 + V_1 + V_2)
 //   write what was asked for: depth, position, normals, uv, albedo, colour, ids
 // Light: the scene's punctual lights without shadows (KHR_lights_punctual), with glTF's
-// metallic-roughness model; where there are none a headlight, radiance = base colour x cosine.
+// metallic-roughness model; where there are none a headlight, radiance = base colour x cosine. With SECONDARY only what
+// a surface emits: the rest is found by rays, which begin at the hits that are left here (scatter_rays.cl).
 // Good at: any number of triangles. Bad at: many lights (each is evaluated). Tests: tests/test_shading.py.
 
 #include "vector.clh"
 #include "edge_function.clh"
 #include "surface.clh"
+#include "lighting.clh"
 #include "pair.clh"
-
-#define PI 3.14159265358979323846f
-
-static inline float dot_f4(float4 a, float4 b) { return (a.x * b.x + a.y * b.y) + a.z * b.z; }
-
-// Unit vector along v, or 0 where v is 0; scaled first, so that no square leaves float32's range.
-static inline float4 unit(float4 v) {
-  const float largest = max(max(fabs(v.x), fabs(v.y)), fabs(v.z));
-  if (!(largest > 0.0f)) return (float4)(0.0f);
-  const float4 s = (float4)(v.x / largest, v.y / largest, v.z / largest, 0.0f);
-  const float length = sqrt(dot_f4(s, s));
-  return (float4)(s.x / length, s.y / length, s.z / length, 0.0f);
-}
-
-// Light that arrives at a point, per unit of cosine, and the unit direction to where it comes from.
-static inline float4 incoming(Light light, float4 point, float4 *to_light) {
-  if (light.kind == LIGHT_DIRECTIONAL) {
-    *to_light = -light.direction;
-    return light.intensity;
-  }
-  const float4 way = light.position - point;
-  const float distance2 = dot_f4(way, way);
-  *to_light = unit(way);
-  if (!(distance2 > 0.0f)) return (float4)(0.0f);
-  float factor = 1.0f / distance2;
-  if (light.range > 0.0f) {
-    const float share = distance2 / (light.range * light.range);
-    factor *= max(1.0f - share * share, 0.0f);
-  }
-  if (light.kind == LIGHT_SPOT) {
-    const float cosine = -dot_f4(*to_light, light.direction);
-    const float span = max(light.cos_inner - light.cos_outer, 0.001f);
-    const float inside = min(max((cosine - light.cos_outer) / span, 0.0f), 1.0f);
-    factor *= inside * inside;
-  }
-  return light.intensity * factor;
-}
-
-// glTF 2.0, appendix B: Lambert and GGX with Schlick's Fresnel term; masking and shadowing in the height-correlated
-// form that its discussion prefers (Heitz 2014). n, v, l unit, n towards the viewer.
-static inline float4 reflected(float4 base, float metallic, float roughness, float4 n, float4 v, float4 l) {
-  const float n_l = dot_f4(n, l), n_v = max(dot_f4(n, v), 1e-4f);
-  if (!(n_l > 0.0f)) return (float4)(0.0f);
-  const float4 h = unit(l + v);
-  const float n_h = max(dot_f4(n, h), 0.0f), v_h = max(dot_f4(v, h), 0.0f);
-  const float alpha = max(roughness * roughness, 0.002f), alpha2 = alpha * alpha;
-  const float bell = n_h * n_h * (alpha2 - 1.0f) + 1.0f;
-  const float distribution = alpha2 / (PI * bell * bell);
-  const float smith = n_l * sqrt(n_v * n_v * (1.0f - alpha2) + alpha2) + n_v * sqrt(n_l * n_l * (1.0f - alpha2) + alpha2);
-  const float c = 1.0f - v_h, c5 = (c * c) * (c * c) * c;
-  const float4 f0 = base * metallic + (float4)(0.04f * (1.0f - metallic));
-  const float4 fresnel = f0 + ((float4)(1.0f) - f0) * c5;
-  const float4 diffuse = base * ((1.0f - metallic) / PI) * ((float4)(1.0f) - fresnel);
-  return (diffuse + fresnel * (distribution * 0.5f / smith)) * n_l;
-}
-
-// Everything about a hit that outputs are made from; world space, w unused.
-typedef struct {
-  SurfacePoint at;
-  float t;              // ray parameter
-  float4 direction;     // d as used
-  float4 position;
-  float4 geometric_normal, shading_normal;
-} Hit;
-
-static inline float4 interpolate_normal(global const float4 *normals, SurfacePoint at, float4 geometric) {
-#if NORMAL_INTERPOLATION
-  const float4 n0 = normals[at.i0], n1 = normals[at.i1], n2 = normals[at.i2];
-  // A vertex without a normal has 0: then the triangle is flat.
-  if (!(dot_f4(n0, n0) > 0.0f) || !(dot_f4(n1, n1) > 0.0f) || !(dot_f4(n2, n2) > 0.0f)) return geometric;
-  const float4 n = unit((n0 * at.b0 + n1 * at.b1) + n2 * at.b2);
-  return dot_f4(n, n) > 0.0f ? n : geometric;
-#else
-  return geometric;
-#endif
-}
+#include "elementary.clh"
+#include "sampling.clh"
 
 // Where the ray through the sample (x, y) of the viewport meets the triangle's plane: t = N . (p_0 - e) / (N . d)
 // and e + t d, with e, d0, dx, dy as DESIGN defines them. In pairs of floats, since N . d cancels where a triangle is
@@ -150,16 +78,9 @@ static inline float4 shade(
   if (material.flags & MATERIAL_UNLIT) return base;
   float4 radiance = (float4)(0.0f);
 #if EMISSION
-  float4 emitted = material.emissive;
-#if TEXTURES
-  if (material.emissive_texture != NO_TEXTURE) {
-    const float2 uv = lookup_uv(
-        surfaces, hit.at, material.emissive_lookup, material.emissive_u, material.emissive_v);
-    emitted *= lookup_texture(surfaces, material.emissive_texture, material.emissive_lookup, uv);
-  }
+  radiance += emitted_light(surfaces, material, hit.at);
 #endif
-  radiance += emitted;
-#endif
+#if !SECONDARY
   const float4 to_viewer = -unit(hit.direction);
   const float side = dot_f4(hit.geometric_normal, to_viewer) < 0.0f ? -1.0f : 1.0f;
   const float4 n = hit.shading_normal * side;
@@ -168,10 +89,11 @@ static inline float4 shade(
     float4 to_light;
     const float4 arriving = incoming(lights[i], hit.position, &to_light);
     if (dot_f4(hit.geometric_normal * side, to_light) > 0.0f)
-      radiance += arriving * reflected(base, material.metallic, material.roughness, n, to_viewer, to_light);
+      radiance += arriving * reflected(material, base, n, to_viewer, to_light, true);
   }
 #else
   radiance += base * fabs(dot_f4(n, to_viewer));
+#endif
 #endif
   return radiance;
 }
@@ -217,6 +139,12 @@ kernel void shade_hits(
     global const uint *restrict visible_prims,     // [pixel_count] prim_id or NO_HIT
 #if SAMPLE_LIST
     global const uint2 *restrict places,           // [pixel_count] pixel of the band; sample in it, 256ths: x | y << 16
+#endif
+#if SECONDARY
+    global float4 *restrict hit_weights,           // [pixel_count] barycentrics b0 b1 b2; w share of the pixel, 0: none
+    global float4 *restrict hit_positions,         // [pixel_count] world space
+    global float4 *restrict hit_directions,        // [pixel_count] d of the ray that found it, w 0
+    global uint *restrict sample_keys,             // [pixel_count] a number of its own for each sample of the image
 #endif
     global float *restrict values,                 // [planes * pixel_count]
     global uint *restrict ids,                     // [2 * pixel_count] object, material
@@ -309,6 +237,19 @@ kernel void shade_hits(
   const bool blends = false;
 #endif
   const float alpha = blends ? min(max(base.w, 0.0f), 1.0f) : 1.0f;
+#if SECONDARY
+  const bool is_lit = (material.flags & MATERIAL_UNLIT) == 0;
+  const float behind = layer > 0 ? 1.0f - out[(planes.color + 3) * stride] : 1.0f;
+  hit_weights[pixel] = (float4)(hit.at.b0, hit.at.b1, hit.at.b2, is_lit ? alpha * behind : 0.0f);
+  hit_positions[pixel] = hit.position;
+  hit_directions[pixel] = (float4)(direction.xyz, 0.0f);
+#if SAMPLE_LIST
+  const uint sample_place = position;
+#else
+  const uint sample_place = (uint)(sample_x * 256.0f) | (uint)(sample_y * 256.0f) << 16;
+#endif
+  sample_keys[pixel] = hash_pair((uint)x | (uint)y << 16, sample_place);
+#endif
   store_color(out + planes.color * stride, stride, shade(surfaces, hit, material, base, light_count, lights), alpha, layer);
   open_pixels[pixel] = blends ? 1 : 0;
 }

@@ -17,6 +17,11 @@
 #include "settled_tests.clh"
 #include "intersect_triangle.clh"
 
+#define MASKED (ALPHA_MASK || ALPHA_BLEND)
+#if MASKED
+#include "surface.clh"
+#endif
+
 // A scene's triangles in the order of a hierarchy's leaves, and the hierarchy.
 typedef struct {
   global const float4 *corners;    // [3 * triangle_count] as prepare_triangles.cl leaves them, by slot
@@ -24,6 +29,11 @@ typedef struct {
   global const uint *children;     // [nodes * NODE_WIDTH] node, or LEAF_BIT | first slot, or EMPTY_CHILD
   global const uint *slot_counts;  // [nodes * NODE_WIDTH] triangles of a leaf
   global const float *node_boxes;  // [nodes * 6 * NODE_WIDTH] min x, y, z, max x, y, z of each child
+#if MASKED
+  global const float4 *positions;  // [vertex_count] world space
+  global const uint *indices;      // [3 * triangle_count]
+  Surfaces surfaces;
+#endif
 } Hierarchy;
 
 // The best hit so far.
@@ -39,6 +49,27 @@ static bool comes_before(const Hierarchy *h, Ray ray, uint slot, uint prim_id, c
   Rungs rungs = {false, false};
   return goes_before(corners_of_slot(h->corners, slot), prim_id, corners_of_slot(h->corners, best->slot), best->prim_id, camera_of(ray), at, &rungs);
 }
+
+// Barycentrics in the order of the file. Corners are a turn of it; where vertices coincide either turn names the same
+// points.
+static float4 weigh_vertices_of(float4 first_corner, global const float4 *positions, global const uint *vertices, const float *edge) {
+  const float4 w = weigh_corners(edge[0], edge[1], edge[2]);
+  if (same_point(positions[vertices[0]], first_corner)) return w;
+  return same_point(positions[vertices[1]], first_corner) ? w.zxyw : w.yzxw;
+}
+
+#if MASKED
+// Whether a surface is not there at a hit: where it is masked; for light (`any_hit`) also where it blends and is thin.
+static bool lets_through(const Hierarchy *h, const Best *hit, bool any_hit) {
+  const Material material = h->surfaces.materials[h->surfaces.material_ids[hit->prim_id]];
+  const uint flags = material.flags & ((ALPHA_MASK ? MATERIAL_MASK : 0u) | (ALPHA_BLEND && any_hit ? MATERIAL_BLEND : 0u));
+  if (flags == 0) return false;
+  global const uint *v = h->indices + 3 * (size_t)hit->prim_id;
+  const float4 w = weigh_vertices_of(h->corners[3 * (size_t)hit->slot], h->positions, v, hit->edge);
+  const SurfacePoint at = {hit->prim_id, v[0], v[1], v[2], w.x, w.y, w.z};
+  return base_color(h->surfaces, material, at).w < (flags & MATERIAL_MASK ? material.alpha_cutoff : THIN_ALPHA);
+}
+#endif
 
 static bool covers_ray(const Hierarchy *h, Ray ray, uint slot) {
   const Place at = {0, 0};
@@ -72,6 +103,9 @@ static bool meet_leaf(const Hierarchy *h, Ray ray, uint first, uint end, bool an
       if (!hit[lane] && !covers_ray(h, ray, slot)) continue;
       if (best->prim_id != NO_HIT && high[lane] >= best->low && !comes_before(h, ray, slot, prim_id, best)) continue;
       const Best better = {slot, prim_id, t[lane], low[lane], high[lane], {edge[0][lane], edge[1][lane], edge[2][lane]}};
+#if MASKED
+      if (lets_through(h, &better, any_hit)) continue;
+#endif
       *best = better;
       improved = true;
       if (any_hit) return true;
@@ -137,13 +171,27 @@ kernel void trace_closest(
     global const float *restrict node_boxes,   // [nodes * 6 * NODE_WIDTH]
     global const float4 *restrict positions,   // [vertex_count] world space
     global const uint *restrict indices,       // [3 * triangle_count] vertices
+#if MASKED
+    global const uint *restrict material_ids,  // [triangle_count]
+    global const Material *restrict materials, // [material_count]
+    global const Texture *restrict textures,   // [texture_count]
+    global const uchar4 *restrict texels,      // of all textures
+    global const float *restrict srgb_to_linear, // [256]
+    global const float2 *restrict uv,          // [vertex_count] or unused
+    global const float2 *restrict uv1,         // [vertex_count] or unused
+    global const float4 *restrict colors,      // [vertex_count] linear, or unused
+#endif
     global uint *restrict prims_hit,           // [ray_count] prim_id or NO_HIT
     global float2 *restrict distances,         // [ray_count] t (+inf: no hit), bound of its error
     global float4 *restrict weights)           // [ray_count] barycentrics b0 b1 b2 in the order of indices, w 0
 {
   const uint item = get_global_id(0);
   if (item >= ray_count) return;
-  const Hierarchy h = {corners, prims, children, slot_counts, node_boxes};
+  const Hierarchy h = {corners, prims, children, slot_counts, node_boxes
+#if MASKED
+                       , positions, indices, {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors}
+#endif
+  };
   const Best best = trace(&h, make_ray(origins[item], directions[item], excluded[item]), false);
   prims_hit[item] = best.prim_id;
   if (best.prim_id == NO_HIT) {
@@ -152,13 +200,8 @@ kernel void trace_closest(
     return;
   }
   distances[item] = (float2)(best.t, max(best.high - best.t, best.t - best.low));
-  const float4 w = weigh_corners(best.edge[0], best.edge[1], best.edge[2]);
   global const uint *vertices = indices + 3 * (size_t)best.prim_id;
-  const float4 first = corners[3 * (size_t)best.slot];
-  // Corners are a turn of the file's order; where vertices coincide either turn names the same points.
-  const bool is_second = !same_point(positions[vertices[0]], first) && same_point(positions[vertices[1]], first);
-  const bool is_third = !same_point(positions[vertices[0]], first) && !is_second;
-  weights[item] = is_second ? w.zxyw : (is_third ? w.yzxw : w);
+  weights[item] = weigh_vertices_of(corners[3 * (size_t)best.slot], positions, vertices, best.edge);
 }
 
 // Reads: corners (prepare_triangles), the hierarchy (host). Writes: occluded. Work item: one ray. Local memory: 0 bytes.
@@ -172,11 +215,29 @@ kernel void trace_any(
     global const uint *restrict children,      // [nodes * NODE_WIDTH]
     global const uint *restrict slot_counts,   // [nodes * NODE_WIDTH]
     global const float *restrict node_boxes,   // [nodes * 6 * NODE_WIDTH]
+#if MASKED
+    global const float4 *restrict positions,   // [vertex_count] world space
+    global const uint *restrict indices,       // [3 * triangle_count] vertices
+#endif
+#if MASKED
+    global const uint *restrict material_ids,  // [triangle_count]
+    global const Material *restrict materials, // [material_count]
+    global const Texture *restrict textures,   // [texture_count]
+    global const uchar4 *restrict texels,      // of all textures
+    global const float *restrict srgb_to_linear, // [256]
+    global const float2 *restrict uv,          // [vertex_count] or unused
+    global const float2 *restrict uv1,         // [vertex_count] or unused
+    global const float4 *restrict colors,      // [vertex_count] linear, or unused
+#endif
     global uint *restrict occluded)            // [ray_count] 1: something is hit, else 0
 {
   const uint item = get_global_id(0);
   if (item >= ray_count) return;
-  const Hierarchy h = {corners, prims, children, slot_counts, node_boxes};
+  const Hierarchy h = {corners, prims, children, slot_counts, node_boxes
+#if MASKED
+                       , positions, indices, {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors}
+#endif
+  };
   occluded[item] = trace(&h, make_ray(origins[item], directions[item], excluded[item]), true).prim_id != NO_HIT;
 }
 
@@ -197,4 +258,31 @@ kernel void offset_origins(
   const Corners t = {{positions[vertices[0]], positions[vertices[1]], positions[vertices[2]]}};
   const Ray ray = make_ray((float4)(0.0f), directions[item], NO_HIT);
   origins[item] = leave_triangle(t, weights[item], camera_of(ray));
+}
+
+// Reads: sources (list_edge_pixels), slot_directions (aim_at_light, scatter_rays), item_prims, item_weights. Writes: rays
+// for trace_*: where those that leave items begin, side by side. Work item: one ray. Local memory: 0 bytes.
+kernel void leave_hits(
+    uint ray_count,
+    uint slot_count,                                // slots of an item
+    global const uint *restrict sources,            // [ray_count] slot of each ray
+    global const uint *restrict item_prims,         // [item_count] prim_id that its rays leave
+    global const float4 *restrict item_weights,     // [item_count] barycentrics of the point
+    global const float4 *restrict slot_directions,  // [slot_count * item_count] xyz; w t_max
+    global const float4 *restrict positions,        // [vertex_count] world space
+    global const uint *restrict indices,            // [3 * triangle_count] vertices
+    global float4 *restrict origins,                // [ray_count] xyz; w t_min 0
+    global float4 *restrict directions,             // [ray_count] xyz; w t_max, 0 where the triangle has no side
+    global uint *restrict excluded)                 // [ray_count] prim_id that is left
+{
+  const uint ray = get_global_id(0);
+  if (ray >= ray_count) return;
+  const uint source = sources[ray], item = source / slot_count, prim_id = item_prims[item];
+  global const uint *vertices = indices + 3 * (size_t)prim_id;
+  const Corners t = {{positions[vertices[0]], positions[vertices[1]], positions[vertices[2]]}};
+  const float4 direction = slot_directions[source], weights = item_weights[item];
+  const float4 origin = leave_triangle(t, (float4)(weights.xyz, 0.0f), camera_of(make_ray((float4)(0.0f), direction, NO_HIT)));
+  origins[ray] = (float4)(origin.xyz, 0.0f);
+  directions[ray] = (float4)(direction.xyz, origin.w > 0.0f ? direction.w : 0.0f);
+  excluded[ray] = prim_id;
 }

@@ -22,6 +22,7 @@ from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Scene
 from clrast.shading.antialias import check_bands, make_resolver, resolver_bytes
 from clrast.shading.effects import EffectPlan
+from clrast.shading.integrator import Depths, Integrator, no_rays
 from clrast.shading.shade import Shader, channel_names
 from clrast.shading.surfaces import MASK_ARGUMENTS, SurfaceBuffers
 from clrast.visibility.bands import BandPlan, plan_bands
@@ -118,6 +119,10 @@ def make_features(
         emission=plan["emission"],
         vertex_colors=scene.colors is not None,
         lit=bool(scene.lights),
+        secondary=plan["secondary acceleration structure"],
+        reflection=plan["reflection"],
+        refraction=plan["refraction"],
+        indirect=plan["indirect light"],
         counters=options.counters or "cost" in options.aov,
         node_bounds=not method.tiles,
         leaf_order=method.needs_bvh,
@@ -143,7 +148,10 @@ class RenderJob:
         self.method = method or named_method(options)
         self.reason: str | None = None
         self.trial_ms = 0.0
-        bvh, self.times["build"] = hierarchy_of(scene) if self.method.needs_bvh else (None, 0.0)
+        traces_rays = plan["secondary acceleration structure"]
+        needs_bvh = self.method.needs_bvh or traces_rays
+        hierarchy, self.times["build"] = hierarchy_of(scene) if needs_bvh else (None, 0.0)
+        bvh = hierarchy if self.method.needs_bvh else None
         self.features = make_features(device, scene, vectors, options, plan, self.method, bvh)
         self.tile_log2 = self.features.tile_log2
         low, high = scene.bounding_box()
@@ -158,6 +166,7 @@ class RenderJob:
         self.surfaces = SurfaceBuffers(device, scene, plan, reads_uv="uv" in self.groups)
         self.times["upload"] = 1000 * (time.perf_counter() - started)
         self.scene_bytes = self.geometry.nbytes + self.surfaces.nbytes
+        self.integrator = self._make_integrator(hierarchy)
         self.bands = self._plan_bands()
         check_bands(self.options, len(self.bands))
         started = time.perf_counter()
@@ -165,14 +174,24 @@ class RenderJob:
         self.contenders = self._make_contenders()
         self.tiles = self._make_visibility()
         self.shader = Shader(
-            device, self.features, self.geometry, self.surfaces, self.groups, len(scene.lights), self.bands.max_pixels
-        )
+            device, self.features, self.geometry, self.surfaces, self.groups, len(scene.lights), self.bands.max_pixels,
+            self.integrator,
+        )  # fmt: skip
         layers = self._render_layers if plan["alpha blend"] else None
         self.resolver = make_resolver(device, self.features, options, self.shader, self.bands.max_pixels, layers)
         self.sample_passes = SamplePasses(self.tiles, self._timed)
         self.times["kernels"] = 1000 * (time.perf_counter() - started)
         self.hit_count = self.samples_decided = 0
         self.launches = self.passes = self.reference_peak = self.band_count = 0
+
+    def _make_integrator(self, hierarchy: Bvh | None) -> Integrator | None:
+        if hierarchy is None or not self.features.secondary:
+            return None
+        paths = self.options.path_count if self.features.indirect else 1
+        depths = Depths(self.options.depth, paths, self.options.seed)
+        made = Integrator(self.device, self.features, self.plan, self.scene, self.surfaces, hierarchy, depths)
+        self.scene_bytes += made.nbytes
+        return made
 
     def _make_contenders(self) -> ContenderList | None:
         if not self.features.filtered:
@@ -197,6 +216,8 @@ class RenderJob:
             per_pixel += 4 + 4 * planes
         if self.features.counters:
             per_pixel += 4 * COST_PLANES
+        if self.integrator is not None:
+            per_pixel += self.integrator.bytes_per_pixel()
         resolving, piece = resolver_bytes(self.options, self.plan["alpha blend"])
         fixed, of_square = 0, 0
         if not self.method.tiles:
@@ -210,7 +231,7 @@ class RenderJob:
             fixed_bytes=self.scene_bytes + BOUND_BYTES * self.scene.triangle_count + fixed,
             square_bytes=of_square,
             pixel_bytes=per_pixel + resolving,
-            piece_bytes=max(4, piece, 4 * len(channel_names(self.groups))),
+            piece_bytes=max(4, piece, 4 * len(channel_names(self.groups)), 0 if self.integrator is None else 32),
             budget=self.options.memory or int(MEMORY_SHARE * self.device.global_memory_bytes),
             max_piece=self.device.max_allocation_bytes,
             limited=loop_limit(self.device) is not None,
@@ -261,6 +282,8 @@ class RenderJob:
         self._frame_times = {}
         self.hit_count = self.passes = self.band_count = self.samples_decided = 0
         self.sample_passes.count = 0
+        if self.integrator is not None:
+            self.integrator.start_frame()
         if self.resolver is not None:
             self.resolver.counts.clear()
         before = self._count_launches()
@@ -307,8 +330,8 @@ class RenderJob:
     def _count_launches(self) -> int:
         """Kernels launched by this job's stages so far."""
         resolving = () if self.resolver is None else (self.resolver, self.resolver.shader)
-        settling = () if self.contenders is None else (self.contenders,)
-        return sum(each.launches for each in (self.tiles, self.shader, *settling, *resolving))
+        others = [each for each in (self.contenders, self.integrator) if each is not None]
+        return sum(each.launches for each in (self.tiles, self.shader, *others, *resolving))
 
     def _split_band(self, channels: dict[str, np.ndarray], row: int, rows: int) -> None:
         """Two bands in place of one whose lists do not fit the budget."""
@@ -383,7 +406,7 @@ class RenderJob:
                 "samples": self.samples_decided,
                 "hits": self.hit_count,
                 "rays_primary": self.samples_decided,
-                **{f"rays_{kind}": 0 for kind in ("shadow", "reflection", "refraction", "indirect")},
+                **(no_rays() if self.integrator is None else self.integrator.counts),
                 "traversal_steps": 0 if not self.method.needs_bvh else None,
                 "kernel_launches": self.launches,
                 "passes": self.passes,

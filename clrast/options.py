@@ -35,16 +35,18 @@ EFFECTS = (
     "shadow", "reflection", "refraction", "indirect light", "emission", "textures", "normal interpolation",
     "alpha mask", "alpha blend", "environment", "secondary acceleration structure", "derivatives",
 )  # fmt: skip
-EFFECTS_OF_SECONDARY_RAYS = (
-    "shadow", "reflection", "refraction", "indirect light", "environment",
-    "secondary acceleration structure", "derivatives",
-)  # fmt: skip
-"""Effects that this version can only leave off."""
+EFFECTS_LEFT_OFF = ("secondary acceleration structure", "derivatives")
+"""Effects that cannot be asked for: the first is there where a ray needs it; the others this version lacks."""
 EFFECT_STATES = ("on", "off", "auto")
 
 MAX_SIDE = 65535
 MAX_PIXELS = 1 << 28
 """Largest image: 16384 x 16384 pixels or as many in another shape."""
+MAX_DEPTH = 1000
+DEFAULT_DEPTH = 8
+"""Rays that follow each other from a hit at most, where --max-depth does not say."""
+DEFAULT_PATHS = 16
+"""Paths of a sample in mode `path`, where --samples does not say."""
 MAX_SEED = (1 << 32) - 1
 MAX_FLOAT32 = 3.4028234663852886e38
 
@@ -193,7 +195,7 @@ def parse_effects(option: str, value: Any) -> dict[str, str]:
         check_choice(f"{option} {key.replace(' ', '_')}", state, EFFECT_STATES)
         if effects.setdefault(key, state) != state:
             raise UsageError(f"{option} {key.replace(' ', '_')} is given as {effects[key]} and as {state}: give one")
-        if state == "on" and key in EFFECTS_OF_SECONDARY_RAYS:
+        if state == "on" and key in EFFECTS_LEFT_OFF:
             option_text = f"{option} {key.replace(' ', '_')}"
             raise UnavailableError(f"{option_text}=on is not available in this version; use auto or off")
     return {name: effects[name] for name in EFFECTS if name in effects}
@@ -212,13 +214,6 @@ def parse_memory(option: str, value: Any) -> int:
 
 def _parse_antialiasing(option: str, value: Any) -> str:
     return parse_antialiasing(option, value).name
-
-
-def _parse_samples(option: str, value: Any) -> int:
-    count = parse_count(option, value, 1, 1 << 24)
-    if count != 1:
-        raise UnavailableError(f"{option} {count} is not available in this version; use 1")
-    return count
 
 
 def _parse_oracle(option: str, value: Any) -> tuple[str, ...]:
@@ -267,7 +262,7 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "size": parse_size,
     "precision": _choice(PRECISIONS, AVAILABLE_PRECISIONS),
     "method": _choice(METHODS, AVAILABLE_METHODS),
-    "mode": _choice(MODES, ("cast",)),
+    "mode": _choice(MODES),
     "aov": parse_aov,
     "effects": parse_effects,
     "counters": _parse_counters,
@@ -279,12 +274,12 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "shading_rate": _choice(("pixel", "sample")),
     "filter": _choice(FILTERS),
     "evaluation": _choice(("direct", "incremental")),
-    "samples": _parse_samples,
+    "samples": _count(1, 1 << 24),
     "seed": _count(0, MAX_SEED),
     "intersection": _choice(("edge", "barycentric")),
     "accelerator": _choice(("auto", "grid", "bvh"), ("auto",)),
     "oracle": _parse_oracle,
-    "max_depth": _refused("leave it out, as nothing is traced beyond the first hit"),
+    "max_depth": _count(0, MAX_DEPTH),
     "quality": _parse_quality,
     "grid_resolution": _refused("leave it out, as no method here uses a grid"),
     "time_budget": _refused("leave it out"),
@@ -318,7 +313,7 @@ class RenderOptions:
     shading_rate: str = "pixel"
     filter: str = "box"
     evaluation: str = "direct"
-    samples: int = 1
+    samples: int | None = None
     seed: int = 0
     intersection: str = "edge"
     accelerator: str = "auto"
@@ -337,6 +332,16 @@ class RenderOptions:
                 object.__setattr__(self, each.name, parsed)
             elif each.default is not None:
                 raise UsageError(f"--{each.name.replace('_', '-')} has no value: leave it out for the default")
+
+    @property
+    def depth(self) -> int:
+        """Rays that follow each other from a hit at most."""
+        return DEFAULT_DEPTH if self.max_depth is None else self.max_depth
+
+    @property
+    def path_count(self) -> int:
+        """Paths of a shaded sample in mode `path`."""
+        return DEFAULT_PATHS if self.samples is None else self.samples
 
     def check_together(self) -> None:
         """Raises UsageError where options do not go together; a render does it before anything else."""

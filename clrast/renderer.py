@@ -46,7 +46,7 @@ def render(scene: Scene, camera: Camera | None = None, *, options: RenderOptions
     if camera is None:
         camera = scene.cameras[0] if scene.cameras else frame_scene(scene, width, height)
     vectors = camera_vectors(camera, width, height)
-    plan = plan_effects(scene, options.aov, options.effects)
+    plan = plan_effects(scene, options.aov, options.effects, options.mode)
     planned = time.perf_counter()
     device = open_device(options.device, options.threads)
     opened = time.perf_counter()

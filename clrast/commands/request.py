@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from clrast.image.frame import Frame
 
 
+UNUSED_OUTSIDE = {"samples": ("path",), "max_depth": ("whitted", "path")}
+"""Options that only some modes read."""
+
+
 @dataclass(frozen=True)
 class Request:
     """A render that can start. `notes` and `warnings` are lines to say first."""
@@ -59,7 +63,11 @@ def merge_options(scene: Scene, given: Mapping[str, Any], source: str) -> tuple[
         own = parse_effects("--effects", merged["effects"])
         merged["effects"] = {**own, **parse_effects("--effects", given["effects"])}
         given = {name: value for name, value in given.items() if name != "effects"}
-    return make_options({**merged, **given}), tuple(warnings)
+    options = make_options({**merged, **given})
+    for name, modes in UNUSED_OUTSIDE.items():
+        if name in given and options.mode not in modes and "effects" not in given:
+            warnings.append(f"--{name.replace('_', '-')} is not used in mode {options.mode}: it is ignored")
+    return options, tuple(warnings)
 
 
 def render_scene(scene: Scene, camera: Camera | str | int | None, values: Mapping[str, Any]) -> Frame:

@@ -32,6 +32,7 @@ def resolved_header(
     """
     if effects_on is None:
         effects_on = [name for name, state in options.effects.items() if state == "on"]
+    effects_on = list(effects_on)
     header: dict[str, Any] = {
         "version": __version__,
         "size": f"{options.size[0]}x{options.size[1]}",
@@ -41,6 +42,11 @@ def resolved_header(
         "aa": options.aa,
         "effects": effects_text(effects_on),
     }
+    on = set(effects_on)
+    if on & {"reflection", "refraction", "indirect light"}:
+        header["max_depth"] = str(options.depth)
+    if "indirect light" in on:
+        header["samples"], header["seed"] = str(options.path_count), str(options.seed)
     if options.aa != "none" and options.shading_rate != "pixel":
         header["shading_rate"] = options.shading_rate
     if options.aa != "none" and options.filter != "box":

@@ -136,6 +136,30 @@ MATERIAL_MASK = 1
 MATERIAL_BLEND = 2
 MATERIAL_UNLIT = 4
 
+MIRROR_ROUGHNESS = 0.04
+"""Surfaces as smooth as this mirror single rays; rougher ones reflect lights alone, and paths along a lobe."""
+
+RAY_REFLECTED = 1
+RAY_REFRACTED = 2
+RAY_INDIRECT = 3
+"""Kinds of secondary rays."""
+
+PAIRS_OF_HIT = 5
+"""Pairs of random numbers that a path takes at a hit: light, point on it, way to go on, direction, roulette."""
+
+ROULETTE_DEPTH = 3
+"""Generation from which on paths may end by Russian roulette."""
+
+BEFORE_EMITTER = 1.0 - 2.0**-12
+"""Share of the way to an emissive triangle on which something may be in the way of its light."""
+
+LEAST_WAY = 2.0**-60
+LARGEST_WAY = 2.0**60
+"""Of the largest component of a ray's direction: what trace_rays.cl takes."""
+
+THIN_ALPHA = 0.5
+"""Blending surfaces under this alpha do not stop light."""
+
 NO_TEXTURE = 0xFFFFFFFF
 
 PLANE_NONE = 0xFFFFFFFF

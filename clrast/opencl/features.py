@@ -71,6 +71,10 @@ class Features:
     vertex_colors: bool = False
     sample_list: bool = False  # shading takes a list of samples, not all pixels of a band
     lit: bool = False  # punctual lights; off: the headlight
+    secondary: bool = False  # shading leaves hits for rays that go on from them
+    reflection: bool = False
+    refraction: bool = False
+    indirect: bool = False  # paths: one ray at a hit, drawn
 
     @property
     def filtered(self) -> bool:

@@ -237,7 +237,8 @@ def arguments_from_source(source: str, kernel: str) -> list[Argument]:
     return found
 
 
-SCALAR_PROGRAMS = ("prepare_triangles.cl", "shade_hits.cl", "settle_contenders.cl", "share_shading.cl")
+SCALAR_PROGRAMS = ("prepare_triangles.cl", "shade_hits.cl", "settle_contenders.cl", "share_shading.cl", "light_hits.cl",
+                   "scatter_rays.cl")  # fmt: skip
 """Programs whose work-items are the lanes: vectors have one lane there, and edges are 3D, whatever decides samples."""
 
 RAY_PROGRAMS = ("trace_rays.cl",)
@@ -256,7 +257,8 @@ def build(device: Device, name: str, features: Features | None = None, folder: P
         features = replace(features, vector_width=1, edges=Edges.SPATIAL)
     if name in RAY_PROGRAMS:
         width, stack = features.vector_width, features.stack_capacity
-        features = Features(width, precision=Precision.EXACT, float64=features.float64, stack_capacity=stack)
+        kept = {name: getattr(features, name) for name in ("alpha_mask", "alpha_blend", "textures", "vertex_colors")}
+        features = Features(width, precision=Precision.EXACT, float64=features.float64, stack_capacity=stack, **kept)
     defines = features.defines(source)
     key = (name, source, defines)
     program = device.programs.get(key)

@@ -73,9 +73,9 @@ MATERIAL = np.dtype(
         ("emissive_texture", "<u4"),
         ("emissive_lookup", "<u4"),
         ("flags", "<u4"),  # MATERIAL_MASK | MATERIAL_BLEND | MATERIAL_UNLIT
-        ("unused0", "<u4"),
-        ("unused1", "<u4"),
-        ("unused2", "<u4"),
+        ("transmission", "<f4"),
+        ("reflectance", "<f4"),  # of a dielectric seen along its normal: ((ior - 1) / (ior + 1))^2
+        ("unused", "<u4"),
     ]
 )
 

@@ -31,6 +31,7 @@ from clrast.scene.texture import find_below, load_image_file, shorten
 if TYPE_CHECKING:
     from clrast.scene.shapes import Shape
 
+MAX_RADIANCE = 1e30
 MAX_CARD_BYTES = 1 << 24
 WHITE = (1.0, 1.0, 1.0)
 
@@ -105,6 +106,7 @@ class CardReader:
             object_names=tuple(object_names),
             image_size=None if card.image is None else (card.image.size[0], card.image.size[1]),
             render_options=self._render_options(),
+            environment=self._environment(),
             warnings=tuple(self.warnings),
             name=card.name or self.path.stem,
         )
@@ -120,6 +122,13 @@ class CardReader:
                 if name is not None and seen.setdefault(name, k) != k:
                     first = f"{kind}[{seen[name]}]"
                     raise SceneError(f'{kind}[{k}].name is "{shorten(name, 40)}", as that of {first}: rename one')
+
+    def _environment(self) -> tuple[float, float, float] | None:
+        entry = self.card.environment
+        if entry is None:
+            return None
+        red, green, blue = (min(each * entry.intensity, MAX_RADIANCE) for each in entry.color)
+        return red, green, blue
 
     def _render_options(self) -> dict[str, str]:
         if self.card.render is None:

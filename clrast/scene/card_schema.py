@@ -237,6 +237,13 @@ class CameraTable(Table):
     height: Annotated[float, Field(gt=0.0, le=1e30)] = 2.0
 
 
+class EnvironmentTable(Table):
+    """Light from everywhere where nothing is."""
+
+    color: Light3 = [1.0, 1.0, 1.0]
+    intensity: Intensity = 1.0
+
+
 class CardTable(Table):
     name: str | None = None
     image: ImageTable | None = None
@@ -245,6 +252,7 @@ class CardTable(Table):
     material: list[MaterialTable] = []
     light: list[LightTable] = []
     camera: list[CameraTable] = []
+    environment: EnvironmentTable | None = None
 
 
 def check_card(tree: dict[str, Any]) -> CardTable:

@@ -112,6 +112,7 @@ class Scene:
     colors : (vertex_count, 4) float32, linear, multiplied into the base colour, or None
     image_size : (width, height) that a card asks for, or None
     render_options : options of `render` that a card sets, by their names on the command line
+    environment : linear RGB radiance that comes from everywhere where nothing is, or None
     warnings : sentences on what the file asks for and this program does not do
     """
 
@@ -130,6 +131,7 @@ class Scene:
     object_names: tuple[str, ...] = ("object",)
     image_size: tuple[int, int] | None = None
     render_options: dict[str, str] = field(default_factory=dict)
+    environment: tuple[float, float, float] | None = None
     warnings: tuple[str, ...] = ()
     name: str = "scene"
 

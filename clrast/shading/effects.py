@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clrast.opencl.constants import MIRROR_ROUGHNESS
 from clrast.scene.model import Material, Scene
 
 EFFECT_NAMES = (
@@ -27,7 +28,12 @@ EFFECT_NAMES = (
     "derivatives",
 )
 
+SECONDARY_EFFECTS = ("shadow", "reflection", "refraction", "indirect light")
+"""Effects that trace rays from hits."""
+
 _NO_SECONDARY = "mode cast traces no secondary rays"
+
+Wanted = dict[str, tuple[bool, str]]
 
 
 @dataclass(frozen=True)
@@ -73,17 +79,90 @@ def _is_textured(material: Material) -> bool:
     return material.base_color_texture is not None or material.emissive_texture is not None
 
 
-def plan_effects(scene: Scene, aov: Iterable[str], asked: Mapping[str, str] | None = None) -> EffectPlan:
-    """The plan of `scene` in mode `cast` for the output groups `aov`.
+def is_mirror(material: Material) -> bool:
+    """Whether a surface is so smooth that it mirrors single rays."""
+    return material.roughness <= MIRROR_ROUGHNESS and not material.unlit
+
+
+def is_glass(material: Material) -> bool:
+    return material.transmission > 0 and not material.unlit
+
+
+def is_specular(material: Material) -> bool:
+    """Whether rays go on from a surface outside of paths."""
+    return is_mirror(material) or is_glass(material) or material.alpha_mode == "BLEND"
+
+
+def plan_effects(
+    scene: Scene, aov: Iterable[str], asked: Mapping[str, str] | None = None, mode: str = "cast"
+) -> EffectPlan:
+    """The plan of `scene` in a mode for the output groups `aov`.
 
     asked : effect name -> "on", "off" or "auto"; "on" and "off" overrule what the scene calls for.
     """
-    groups = set(aov)
-    materials = used_materials(scene)
-    shades = "color" in groups
-    wanted: dict[str, tuple[bool, str]] = {name: (False, _NO_SECONDARY) for name in EFFECT_NAMES}
-    wanted["environment"] = (False, "the scene has no environment")
+    groups, materials = set(aov), used_materials(scene)
+    wanted: Wanted = {}
+    wanted.update(_plan_secondary(scene, materials, mode if "color" in groups else None))
+    wanted.update(_plan_surfaces(scene, materials, groups))
     wanted["derivatives"] = (False, "textures are looked up at full size without filter footprints")
+    for name, state in (asked or {}).items():
+        if state == "on" and not wanted[name][0]:
+            wanted[name] = (True, "asked for by --effects")
+        elif state == "off":
+            wanted[name] = (False, "switched off by --effects")
+    if "color" not in groups:
+        for name in SECONDARY_EFFECTS:
+            wanted[name] = (False, "no colour is asked for")
+    tracing = [name for name in SECONDARY_EFFECTS if wanted[name][0]]
+    reason = f"for {' and '.join(tracing)}" if tracing else "no secondary ray is traced"
+    wanted["secondary acceleration structure"] = (bool(tracing), reason)
+    return EffectPlan(tuple(Effect(name, *wanted[name]) for name in EFFECT_NAMES))
+
+
+def _plan_secondary(scene: Scene, materials: list[Material], mode: str | None) -> Wanted:
+    """The effects that take rays from hits; mode : None where no colour is asked for."""
+    names = (*SECONDARY_EFFECTS, "environment")
+    if mode is None or mode == "cast":
+        why = "no colour is asked for" if mode is None else _NO_SECONDARY
+        wanted = {name: (False, why) for name in names}
+        if scene.environment is None:
+            wanted["environment"] = (False, "the scene has no environment")
+        return wanted
+    wanted = {name: (False, f"mode {mode} traces shadow rays alone") for name in names}
+    lights = [light.name for light in scene.lights if max(light.intensity) > 0]
+    emitting = _called_for(materials, _is_emitter, "lights the scene", "no material emits light")
+    bright = scene.environment is not None and max(scene.environment) > 0
+    more = f" and {len(lights) - 1} more" if len(lights) > 1 else ""
+    if lights:
+        wanted["shadow"] = (True, f"light '{lights[0]}'{more}")
+    elif mode == "path" and emitting[0]:
+        wanted["shadow"] = emitting
+    else:
+        wanted["shadow"] = (False, "the scene has no light that casts shadows: the headlight casts none")
+    if mode == "shadow":
+        return wanted
+    wanted["reflection"] = _called_for(
+        materials, lambda m: is_mirror(m) or is_glass(m), "is smooth", "no visible material is a mirror or glass"
+    )
+    wanted["refraction"] = _called_for(materials, is_glass, "lets light through", "no visible material is transmissive")
+    if mode == "whitted":
+        wanted["indirect light"] = (False, "mode whitted follows mirrors and glass alone")
+    elif lights or emitting[0] or bright:
+        wanted["indirect light"] = (True, "mode path, and the scene has light of its own")
+    else:
+        wanted["indirect light"] = (False, "the scene has no light, emission or environment: the headlight is direct")
+    goes_on = any(wanted[name][0] for name in ("reflection", "refraction", "indirect light"))
+    if scene.environment is None:
+        wanted["environment"] = (False, "the scene has no environment")
+    else:
+        wanted["environment"] = (bright and goes_on, "seen by secondary rays" if goes_on else "no ray goes on to see it")
+    return wanted
+
+
+def _plan_surfaces(scene: Scene, materials: list[Material], groups: set[str]) -> Wanted:
+    """The effects of surfaces themselves."""
+    wanted: Wanted = {}
+    shades = "color" in groups
     wanted["alpha mask"] = _called_for(
         materials, lambda m: m.alpha_mode == "MASK", "alpha mode MASK", "no visible material has alpha mode MASK"
     )
@@ -107,9 +186,8 @@ def plan_effects(scene: Scene, aov: Iterable[str], asked: Mapping[str, str] | No
         wanted["normal interpolation"] = (True, "the file has vertex normals")
     else:
         wanted["normal interpolation"] = (False, "no output that is asked for reads a normal")
-    for name, state in (asked or {}).items():
-        if state == "on" and not wanted[name][0]:
-            wanted[name] = (True, "asked for by --effects")
-        elif state == "off":
-            wanted[name] = (False, "switched off by --effects")
-    return EffectPlan(tuple(Effect(name, *wanted[name]) for name in EFFECT_NAMES))
+    return wanted
+
+
+def _is_emitter(material: Material) -> bool:
+    return max(material.emissive) > 0 and not material.unlit

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from clrast.opencl.features import Features
 from clrast.opencl.layout import PLANE_NONE, PLANES
 from clrast.shading.surfaces import SurfaceBuffers
 from clrast.visibility.geometry import Geometry
+
+if TYPE_CHECKING:
+    from clrast.shading.integrator import Integrator
 
 GROUP_CHANNELS: dict[str, tuple[str, ...]] = {
     "color": ("R", "G", "B", "A"),
@@ -32,6 +35,9 @@ GROUP_CHANNELS: dict[str, tuple[str, ...]] = {
 
 WORK_GROUP = 64
 
+HIT_BYTES = {"hit_weights": 16, "hit_positions": 16, "hit_directions": 16, "sample_keys": 4}
+"""What shade_hits leaves of each sample where rays go on from hits."""
+
 
 def channel_names(groups: tuple[str, ...]) -> list[str]:
     """Names of the float planes of these groups, in plane order."""
@@ -39,7 +45,10 @@ def channel_names(groups: tuple[str, ...]) -> list[str]:
 
 
 class Shader:
-    """Shades bands. groups : output groups asked for; max_pixels : pixels of the largest band."""
+    """Shades bands. groups : output groups asked for; max_pixels : pixels of the largest band.
+
+    integrator : with features.secondary what rays that go on from hits are traced by; `color` is among the groups then.
+    """
 
     def __init__(
         self,
@@ -50,8 +59,10 @@ class Shader:
         groups: tuple[str, ...],
         light_count: int,
         max_pixels: int,
+        integrator: Integrator | None = None,
     ) -> None:
         self.device = device
+        self.integrator = integrator
         self.geometry = geometry
         self.surfaces = surfaces
         self.light_count = light_count
@@ -69,7 +80,8 @@ class Shader:
 
     def sibling(self, features: Features, groups: tuple[str, ...], max_pixels: int) -> Shader:
         """Another shader of the same scene."""
-        return Shader(self.device, features, self.geometry, self.surfaces, groups, self.light_count, max_pixels)
+        of_scene = (self.geometry, self.surfaces, groups, self.light_count)
+        return Shader(self.device, features, *of_scene, max_pixels, self.integrator)
 
     def make_room(self, sample_count: int) -> None:
         """Grow the planes for so many samples; what they held may be lost."""
@@ -81,6 +93,8 @@ class Shader:
         self.values = buffers.create(self.device, 4 * len(self.names) * self._capacity)
         self.ids = buffers.create(self.device, 4 * (2 * self._capacity if self.has_ids else 1))
         self.open_pixels = buffers.create(self.device, self._capacity)
+        sizes = {} if self.integrator is None else HIT_BYTES
+        self._hits = {name: buffers.create(self.device, size * self._capacity) for name, size in sizes.items()}
 
     @staticmethod
     def bytes_per_pixel(groups: tuple[str, ...]) -> int:
@@ -90,7 +104,7 @@ class Shader:
     def shade(
         self, view: np.ndarray, visible_prims: Any, pixel_count: int, layer: int, places: Any | None = None
     ) -> None:
-        """Enqueue the shading of one layer of a band; layers after the first only add colour behind it.
+        """Enqueue the shading of one layer of a band, and wait for secondary rays, if there are any; layers after the first only add colour behind it.
 
         places : with features.sample_list [pixel_count] uint2, which samples: pixel of the band, place in it.
         """
@@ -108,11 +122,15 @@ class Shader:
             **self.surfaces.buffers,
             visible_prims=visible_prims,
             **({} if places is None else {"places": places}),
+            **self._hits,
             values=self.values,
             ids=self.ids,
             open_pixels=self.open_pixels,
         )
         self.launches += 1
+        if self.integrator is not None:
+            color = int(self._planes["color"])
+            self.integrator.gather(visible_prims, self._hits, pixel_count, self.values, color)
 
     def close_pixels(self, front_nearness: Any, front_prims: Any, pixel_count: int) -> None:
         """Enqueue: where the last layer is opaque or empty, nothing behind it will be found."""

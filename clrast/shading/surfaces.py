@@ -48,6 +48,9 @@ def pack_materials(materials: tuple[Material, ...]) -> np.ndarray:
         record["emissive"][:3] = material.emissive
         record["metallic"], record["roughness"] = material.metallic, material.roughness
         record["alpha_cutoff"], record["ior"] = material.alpha_cutoff, material.ior
+        record["transmission"] = material.transmission
+        # KHR_materials_ior: 0 stands for a surface that reflects all light.
+        record["reflectance"] = ((material.ior - 1) / (material.ior + 1)) ** 2
         for prefix, use in (("base", material.base_color_texture), ("emissive", material.emissive_texture)):
             record[f"{prefix}_texture"] = layout.NO_TEXTURE if use is None else use.texture
             if use is not None:

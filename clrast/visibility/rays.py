@@ -6,6 +6,7 @@ those of real arithmetic, whatever the hierarchy, the vector width and the runti
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -60,8 +61,11 @@ class RayBuffers:
     arguments: dict[str, cl.Buffer]
 
 
-def ray_features(device: Device, bvh: Bvh) -> Features:
-    """The build options of a tracer over that hierarchy; `Geometry` must be made with them, at world_scale 1."""
+def ray_features(device: Device, bvh: Bvh, **masks: bool) -> Features:
+    """The build options of a tracer over that hierarchy; `Geometry` must be made with them, at world_scale 1.
+
+    masks : what is looked up at hits, of alpha_mask, alpha_blend, textures and vertex_colors.
+    """
     return Features(
         device.vector_width,
         precision=Precision.EXACT,
@@ -69,6 +73,7 @@ def ray_features(device: Device, bvh: Bvh) -> Features:
         float64=device.has_fp64,
         leaf_order=True,
         stack_capacity=max(MIN_STACK, stack_capacity(bvh.depth, 0)),
+        **masks,
     )
 
 
@@ -98,17 +103,23 @@ def check_loops(device: Device) -> None:
 class RayTracer:
     """Rays against one scene; every method waits, but those that enqueue.
 
-    features : of `ray_features`. geometry : built with these, at world_scale 1, with its hierarchy.
+    features : of `ray_features`. geometry : built with these, at world_scale 1, with its hierarchy. masks : with
+    features.alpha_mask or alpha_blend what surfaces are looked up in, by the arguments of trace_rays.cl; rays then
+    pass where a surface is masked, and `any` also where it blends and is thin. `launches` : kernels launched.
     Raises DeviceError on drivers that limit loops.
     """
 
-    def __init__(self, device: Device, features: Features, geometry: Geometry) -> None:
+    def __init__(
+        self, device: Device, features: Features, geometry: Geometry, masks: Mapping[str, cl.Buffer] | None = None
+    ) -> None:
         check_loops(device)
         bvh = geometry.bvh
         if bvh is None or geometry.prims is None or geometry.world_positions is None:
             raise UsageError("rays need a geometry with a BVH, in the order of its leaves, of precision 'exact'")
         self.device, self.features, self.geometry = device, features, geometry
+        self.launches = 0
         self._program = kernels.build(device, "trace_rays.cl", features)
+        self._masks = dict(masks or {})
         self._scene = {
             "corners": geometry.corners,
             "prims": geometry.prims,
@@ -158,14 +169,28 @@ class RayTracer:
             "distances": buffers.create(self.device, 8 * rays.count),
             "weights": buffers.create(self.device, 16 * rays.count),
         }
-        self._launch("trace_closest", rays.count, **rays.arguments, **self._scene, **self._vertices, **made)
+        self._launch("trace_closest", rays.count, **rays.arguments, **self._scene, **self._vertices, **self._masks, **made)
         return made
 
     def enqueue_any(self, rays: RayBuffers) -> cl.Buffer:
         """Enqueue `any` of rays on the device; returns [ray_count] uint, 1 where something is hit."""
         occluded = buffers.create(self.device, 4 * rays.count)
-        self._launch("trace_any", rays.count, **rays.arguments, **self._scene, occluded=occluded)
+        masks = {**self._vertices, **self._masks} if self._masks else {}
+        self._launch("trace_any", rays.count, **rays.arguments, **self._scene, **masks, occluded=occluded)
         return occluded
+
+    def enqueue_leave(self, count: int, slot_count: int, **streams: cl.Buffer) -> RayBuffers:
+        """Enqueue leave_hits, which see: rays on the device that leave items of streams.
+
+        streams : sources, item_prims, item_weights, slot_directions.
+        """
+        made = {
+            "origins": buffers.create(self.device, 16 * count),
+            "directions": buffers.create(self.device, 16 * count),
+            "excluded": buffers.create(self.device, 4 * count),
+        }
+        self._launch("leave_hits", count, slot_count=slot_count, **streams, **self._vertices, **made)
+        return RayBuffers(count, made)
 
     def leave(self, prim_id: np.ndarray, barycentrics: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Where rays start that leave points of triangles: (ray_count, 3) float32, world space.
@@ -228,6 +253,7 @@ class RayTracer:
         if count:
             items = -(-count // WORK_GROUP) * WORK_GROUP
             self._program.launch(kernel, items, WORK_GROUP, ray_count=count, **arguments)
+            self.launches += 1
 
 
 def _vectors(name: str, values: Any, count: int) -> np.ndarray:

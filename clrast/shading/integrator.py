@@ -1,0 +1,270 @@
+"""Light that takes more than the camera's rays to find: shadows, mirrors, glass, paths.
+
+Purcell et al., 'Ray Tracing on Programmable Graphics Hardware', section 3: kernels joined by streams, weights in place of
+recursion. The kernels are cl/light_hits.cl, cl/scatter_rays.cl and cl/trace_rays.cl; the hits of the camera's samples
+come from any method of the continuum. A generation is: light that reaches the hits, rays that go on, what they hit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clrast.opencl import buffers, kernels
+from clrast.opencl.constants import RAY_INDIRECT, RAY_REFLECTED, RAY_REFRACTED
+from clrast.opencl.device import Device
+from clrast.opencl.features import Features
+from clrast.opencl.layout import NO_HIT
+from clrast.scene.model import Scene
+from clrast.shading.effects import EffectPlan, is_specular
+from clrast.shading.light_sources import find_light_sources
+from clrast.shading.sample_lists import FlagList, Room
+from clrast.shading.surfaces import MASK_ARGUMENTS, SurfaceBuffers
+from clrast.visibility.bvh import Bvh
+from clrast.visibility.geometry import build_geometry
+from clrast.visibility.rays import RayTracer, ray_features
+
+if TYPE_CHECKING:
+    import pyopencl as cl
+
+WORK_GROUP = 16
+
+LEAST_WEIGHT = 2.0**-10
+"""Of a mirrored or refracted ray in its pixel: those that bring less are not traced."""
+
+RAY_KINDS = {RAY_REFLECTED: "rays_reflection", RAY_REFRACTED: "rays_refraction", RAY_INDIRECT: "rays_indirect"}
+
+SURFACES = ("uv", "uv1", "colors", "material_ids", "materials", "textures", "texels", "srgb_to_linear")
+
+BYTES_PER_SLOT = 33
+BYTES_PER_RAY = 16 + 16 + 4 + 8 + 28 + 80
+"""Origins, directions, excluded; sources and places; what is hit; the item that it becomes."""
+
+
+def no_rays() -> dict[str, int]:
+    """Counts of secondary rays where there are none, by the names of the stats."""
+    return dict.fromkeys(("rays_shadow", *RAY_KINDS.values()), 0)
+
+
+@dataclass(frozen=True)
+class Items:
+    """Hits that rays go on from, as ray_items.clh reads them. `hits` : the buffers by their arguments there."""
+
+    count: int
+    is_first: bool
+    hits: dict[str, cl.Buffer]
+    origins: cl.Buffer
+    pixels: cl.Buffer
+    keys: cl.Buffer
+
+
+@dataclass(frozen=True)
+class Depths:
+    """How far light is followed. generations : of rays that go on; path_count : paths of a sample; seed : of numbers."""
+
+    generations: int
+    path_count: int
+    seed: int
+
+
+class Integrator:
+    """Adds to the colour of hits what secondary rays bring; shared by all shaders of a render.
+
+    `counts` : rays by the names of the stats. `launches` : kernels launched. `nbytes` : of the scene, on the device.
+    """
+
+    def __init__(
+        self, device: Device, features: Features, plan: EffectPlan, scene: Scene, surfaces: SurfaceBuffers, bvh: Bvh,
+        depths: Depths,
+    ) -> None:  # fmt: skip
+        self.device, self.features, self.plan, self.depths = device, features, plan, depths
+        self.is_path = features.indirect
+        self.shows_shadows = plan["shadow"]
+        masked = {"alpha_mask": features.alpha_mask, "alpha_blend": features.alpha_blend}
+        looked_up = {"textures": features.textures, "vertex_colors": features.vertex_colors}
+        tracing = ray_features(device, bvh, **masked, **(looked_up if any(masked.values()) else {}))
+        geometry = build_geometry(device, tracing, scene.positions, scene.triangles, 1.0, bvh)
+        masks = surfaces.named(*MASK_ARGUMENTS) if any(masked.values()) else None
+        self.tracer = RayTracer(device, tracing, geometry, masks)
+        self.nbytes = geometry.nbytes
+        self._mesh = {"positions": geometry.world_positions, "indices": geometry.indices, **surfaces.named("normals")}
+        self._surfaces = surfaces.named(*SURFACES)
+        self._lighting = kernels.build(device, "light_hits.cl", features)
+        self._scattering = kernels.build(device, "scatter_rays.cl", features)
+        self._lists = FlagList(device, features)
+        self._room = Room(device)
+        self.own_launches = 0
+        self.counts = no_rays()
+        self._find_lights(device, scene, surfaces)
+        special = np.array([is_specular(material) for material in scene.materials], dtype=bool)
+        self._special = special[scene.material_ids]
+        goes_on = plan["reflection"] or plan["refraction"] or self.is_path
+        passes = not self.is_path and (features.refraction or features.alpha_blend)
+        self.slot_count = (2 if passes else 1) if goes_on else 0
+        self.environment = scene.environment if plan["environment"] and scene.environment else (0.0, 0.0, 0.0)
+
+    def _find_lights(self, device: Device, scene: Scene, surfaces: SurfaceBuffers) -> None:
+        sources = find_light_sources(scene)
+        self._light_count, self._emitter_count = len(scene.lights), len(sources.prims)
+        self._inverse_power = sources.inverse_power
+        self._lights = {
+            **surfaces.named("lights"),
+            "emitters": buffers.upload(device, sources.prims),
+            "power_sums": buffers.upload(device, sources.sums),
+        }
+        # A light at a time; or in paths one that is drawn of all.
+        self._rounds = (1 if sources.count else 0) if self.is_path else self._light_count
+
+    @property
+    def launches(self) -> int:
+        return self.own_launches + self.tracer.launches + self._lists.launches
+
+    @staticmethod
+    def bytes_per_pixel() -> int:
+        """Device bytes that a pixel of a band takes where each has a hit from which two rays go on."""
+        return 52 + 12 + 16 + 2 * BYTES_PER_SLOT + 4 * BYTES_PER_RAY
+
+    def start_frame(self) -> None:
+        self.counts = no_rays()
+
+    def gather(
+        self, visible_prims: cl.Buffer, hits: dict[str, cl.Buffer], pixel_count: int, values: cl.Buffer, first_plane: int
+    ) -> None:
+        """Add to the colour of `pixel_count` samples what secondary rays bring. Waits.
+
+        visible_prims : prim_id or NO_HIT. hits : hit_weights, hit_positions, hit_directions and sample_keys, as
+        shade_hits wrote them. values : planes of channels, those of colour from `first_plane` on.
+        """
+        if not pixel_count or not self._has_hits(visible_prims, pixel_count):
+            return
+        sums = self._room("sums", 12 * pixel_count)
+        buffers.fill(self.device, sums, np.float32(0), 12 * pixel_count)
+        first = Items(
+            pixel_count, True,
+            {"item_prims": visible_prims, "item_weights": hits["hit_weights"],
+             "item_positions": hits["hit_positions"], "item_directions": hits["hit_directions"],
+             "item_throughputs": hits["hit_weights"]},
+            hits["hit_positions"], visible_prims, hits["sample_keys"],
+        )  # fmt: skip
+        goes_on = self.slot_count > 0 and (self.is_path or self._shows_special(visible_prims, pixel_count))
+        for path in range(self.depths.path_count):
+            self._trace_path(first, path, self.depths.generations if goes_on else 0, sums, pixel_count)
+        self._launch(
+            self._scattering, "add_mean", pixel_count, pixel_count=pixel_count,
+            path_count=float(self.depths.path_count), sums=sums, first_plane=first_plane, values=values,
+        )  # fmt: skip
+        self.device.queue.finish()
+
+    def _trace_path(self, items: Items, path: int, generations: int, sums: cl.Buffer, pixel_count: int) -> None:
+        for depth in range(generations + 1):
+            radiances = self._light(items, path, depth)
+            self._launch(
+                self._scattering, "add_to_samples", items.count, item_count=items.count, pixel_count=pixel_count,
+                is_first=int(items.is_first), item_pixels=items.pixels, radiances=radiances, sums=sums,
+            )  # fmt: skip
+            if depth == generations:
+                return
+            following = self._go_on(items, path, depth)
+            if following is None:
+                return
+            items = following
+
+    def _light(self, items: Items, path: int, depth: int) -> cl.Buffer:
+        """What lights bring to items: [item_count] float4."""
+        radiances = self._room("radiances", 16 * items.count)
+        common = {"item_count": items.count, "is_first": int(items.is_first), **items.hits, **self._mesh, **self._surfaces}
+        red, green, blue = self.environment
+        self._launch(
+            self._lighting, "begin_light", items.count, **common, inverse_power=self._inverse_power,
+            environment_r=red, environment_g=green, environment_b=blue, item_origins=items.origins,
+            radiances=radiances,
+        )  # fmt: skip
+        slots = {
+            "slot_directions": self._room("slot_directions", 16 * items.count),
+            "slot_radiances": self._room("slot_radiances", 16 * items.count),
+        }
+        kinds = self._room("slot_kinds", items.count)
+        for light in range(self._rounds):
+            self._launch(
+                self._lighting, "aim_at_light", items.count, **common, light=light, light_count=self._light_count,
+                emitter_count=self._emitter_count, path=path, depth=depth, inverse_power=self._inverse_power,
+                item_keys=items.keys, seed=self.depths.seed, **self._lights, **slots, slot_kinds=kinds,
+            )  # fmt: skip
+            sources, count = self._lists.list(kinds, items.count, "sources")
+            if not count:
+                continue
+            self._launch(
+                self._lighting, "add_light", count, ray_count=count, sources=sources,
+                occluded=self._occluded(items, sources, count, slots["slot_directions"]),
+                slot_radiances=slots["slot_radiances"], radiances=radiances,
+            )  # fmt: skip
+        return radiances
+
+    def _occluded(self, items: Items, sources: cl.Buffer, count: int, directions: cl.Buffer) -> cl.Buffer:
+        if not self.shows_shadows:
+            free = self._room("occluded", 4 * count)
+            buffers.fill(self.device, free, np.uint32(0), 4 * count)
+            return free
+        self.counts["rays_shadow"] += count
+        return self.tracer.enqueue_any(self._leave(items, sources, count, 1, directions))
+
+    def _leave(self, items: Items, sources: cl.Buffer, count: int, slot_count: int, directions: cl.Buffer) -> Any:
+        streams = {name: items.hits[name] for name in ("item_prims", "item_weights")}
+        return self.tracer.enqueue_leave(count, slot_count, sources=sources, slot_directions=directions, **streams)
+
+    def _go_on(self, items: Items, path: int, depth: int) -> Items | None:
+        """The hits of the rays that go on from items; None where none do. Waits."""
+        slots = self.slot_count * items.count
+        directions, throughputs = self._room("slot_directions", 16 * slots), self._room("slot_throughputs", 16 * slots)
+        kinds = self._room("slot_kinds", slots)
+        self._launch(
+            self._scattering, "scatter_rays", items.count, item_count=items.count, is_first=int(items.is_first),
+            slot_count=self.slot_count, path=path, depth=depth, least_weight=LEAST_WEIGHT, **items.hits,
+            item_keys=items.keys, seed=self.depths.seed, **self._mesh, **self._surfaces, slot_directions=directions,
+            slot_throughputs=throughputs, slot_kinds=kinds,
+        )  # fmt: skip
+        sources, count = self._lists.list(kinds, slots, "sources")
+        if not count:
+            return None
+        self._count_kinds(kinds, slots)
+        rays = self._leave(items, sources, count, self.slot_count, directions)
+        found = self.tracer.enqueue_closest(rays)
+        return self._arrive(items, sources, count, rays.arguments, found, throughputs)
+
+    def _arrive(
+        self, items: Items, sources: cl.Buffer, count: int, rays: dict[str, cl.Buffer], found: dict[str, cl.Buffer],
+        throughputs: cl.Buffer,
+    ) -> Items:  # fmt: skip
+        make = buffers.create
+        made = {name: make(self.device, 16 * count) for name in ("item_positions", "item_directions", "item_throughputs")}
+        numbers = {name: make(self.device, 4 * count) for name in ("item_pixels", "item_keys")}
+        self._launch(
+            self._scattering, "arrive", count, ray_count=count, slot_count=self.slot_count,
+            is_first=int(items.is_first), sources=sources, prims_hit=found["prims_hit"], weights=found["weights"],
+            directions=rays["directions"], slot_throughputs=throughputs, pixels_left=items.pixels,
+            keys_left=items.keys, positions=self._mesh["positions"],
+            indices=self._mesh["indices"], **made, **numbers,
+        )  # fmt: skip
+        hits = {"item_prims": found["prims_hit"], "item_weights": found["weights"], **made}
+        return Items(count, False, hits, rays["origins"], numbers["item_pixels"], numbers["item_keys"])
+
+    def _count_kinds(self, kinds: cl.Buffer, slots: int) -> None:
+        with buffers.mapped(self.device, kinds, np.uint8, slots) as flags:
+            found = np.bincount(flags, minlength=max(RAY_KINDS) + 1)
+        for kind, name in RAY_KINDS.items():
+            self.counts[name] += int(found[kind])
+
+    def _has_hits(self, visible_prims: cl.Buffer, count: int) -> bool:
+        with buffers.mapped(self.device, visible_prims, np.uint32, count) as prims:
+            return bool((prims != NO_HIT).any())
+
+    def _shows_special(self, visible_prims: cl.Buffer, count: int) -> bool:
+        """Whether a hit is on a surface that mirrors or refracts: else no ray goes on, and no kernel for it runs."""
+        with buffers.mapped(self.device, visible_prims, np.uint32, count) as prims:
+            return bool(self._special[prims[prims != NO_HIT]].any())
+
+    def _launch(self, program: Any, kernel: str, items: int, **arguments: Any) -> None:
+        program.launch(kernel, -(-items // WORK_GROUP) * WORK_GROUP, WORK_GROUP, **arguments)
+        self.own_launches += 1
