@@ -277,7 +277,7 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "samples": _count(1, 1 << 24),
     "seed": _count(0, MAX_SEED),
     "intersection": _choice(("edge", "barycentric")),
-    "accelerator": _choice(("auto", "grid", "bvh"), ("auto",)),
+    "accelerator": _choice(("auto", "grid", "bvh"), ("auto", "bvh")),
     "oracle": _parse_oracle,
     "max_depth": _count(0, MAX_DEPTH),
     "quality": _parse_quality,

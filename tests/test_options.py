@@ -144,16 +144,12 @@ def test_fov_is_inside_0_and_180(degrees: float) -> None:
             "--method raycast-grid is not available in this version; use auto, .* or raycast-brute",
         ),
         ("method", "raycast-grid-multipass", "raycast-grid-multipass is not available in this version; use auto, "),
-        ("mode", "path", "--mode path is not available in this version; use cast"),
-        ("samples", "16", "--samples 16 is not available in this version; use 1"),
-        ("accelerator", "bvh", "--accelerator bvh is not available"),
         ("accelerator", "grid", "--accelerator grid is not available"),
-        ("max_depth", "3", "--max-depth is not available"),
         ("quality", "draft", "--quality draft is not available"),
         ("grid_resolution", "64", "--grid-resolution is not available"),
         ("time_budget", "1.5", "--time-budget is not available"),
         ("resume", "x.exr", "--resume is not available"),
-        ("effects", "shadow=on", "--effects shadow=on is not available in this version; use auto or off"),
+        ("effects", "derivatives=on", "--effects derivatives=on is not available in this version; use auto or off"),
     ],
 )
 def test_what_is_not_there_yet_says_so(name: str, value: str | bool, message: str) -> None:

@@ -81,7 +81,9 @@ Evaluation = Annotated[
         text="Edge functions: direct [default], or incremental, by sums from sample to sample.", panel=ACCURACY,
     ),
 ]  # fmt: skip
-Samples = Annotated[Texts, _option("--samples", metavar="N", text="Paths of a sample in mode path [default: 16].", panel=ACCURACY)]
+Samples = Annotated[
+    Texts, _option("--samples", metavar="N", text="Paths of a sample in mode path [default: 16].", panel=ACCURACY)
+]
 Seed = Annotated[Texts, _option("--seed", metavar="N", text="Of random numbers [default: 0].", panel=ACCURACY)]
 MaxDepth = Annotated[Texts, typer.Option("--max-depth", metavar="N", hidden=True)]
 Quality = Annotated[Texts, typer.Option("--quality", metavar="NAME", hidden=True)]
@@ -114,7 +116,9 @@ Intersection = Annotated[
 Accelerator = Annotated[Texts, _option("--accelerator", metavar="NAME", text="auto [default].", panel=METHOD)]
 GridResolution = Annotated[Texts, typer.Option("--grid-resolution", metavar="N", hidden=True)]
 
-Mode = Annotated[Texts, _option("--mode", metavar="NAME", text="cast [default], shadow, whitted or path.", panel=EFFECTS)]
+Mode = Annotated[
+    Texts, _option("--mode", metavar="NAME", text="cast [default], shadow, whitted or path.", panel=EFFECTS)
+]
 Effects = Annotated[
     Texts,
     _option(

@@ -188,9 +188,11 @@ def _without_color(frame: Frame, scene: Scene, options: RenderOptions) -> Frame:
     from clrast.shading.effects import plan_effects
 
     channels = {name: values for name, values in frame.channels.items() if name not in CHANNEL_GROUPS["color"]}
-    plan = plan_effects(scene, options.aov, options.effects)
+    plan = plan_effects(scene, options.aov, options.effects, options.mode)
     effects = effects_text(effect.name for effect in plan.effects if effect.on)
-    return type(frame)(channels, {**frame.header, "effects": effects}, frame.stats)
+    # Without colour no ray goes on from a hit.
+    kept = {name: value for name, value in frame.header.items() if name not in ("max_depth", "samples", "seed")}
+    return type(frame)(channels, {**kept, "effects": effects}, frame.stats)
 
 
 def _write(frame: Frame, exr_frame: Frame, request: Request, job: Job) -> dict[str, Any]:

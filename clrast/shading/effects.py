@@ -144,7 +144,7 @@ def _plan_secondary(scene: Scene, materials: list[Material], mode: str | None) -
     wanted["reflection"] = _called_for(
         materials, lambda m: is_mirror(m) or is_glass(m), "is smooth", "no visible material is a mirror or glass"
     )
-    wanted["refraction"] = _called_for(materials, is_glass, "lets light through", "no visible material is transmissive")
+    wanted["refraction"] = _called_for(materials, is_glass, "lets light through", "no visible material is glass")
     if mode == "whitted":
         wanted["indirect light"] = (False, "mode whitted follows mirrors and glass alone")
     elif lights or emitting[0] or bright:
@@ -155,7 +155,8 @@ def _plan_secondary(scene: Scene, materials: list[Material], mode: str | None) -
     if scene.environment is None:
         wanted["environment"] = (False, "the scene has no environment")
     else:
-        wanted["environment"] = (bright and goes_on, "seen by secondary rays" if goes_on else "no ray goes on to see it")
+        why = "seen by secondary rays" if goes_on else "no ray goes on to see it"
+        wanted["environment"] = (bright and goes_on, why)
     return wanted
 
 

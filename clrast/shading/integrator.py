@@ -1,8 +1,8 @@
 """Light that takes more than the camera's rays to find: shadows, mirrors, glass, paths.
 
-Purcell et al., 'Ray Tracing on Programmable Graphics Hardware', section 3: kernels joined by streams, weights in place of
-recursion. The kernels are cl/light_hits.cl, cl/scatter_rays.cl and cl/trace_rays.cl; the hits of the camera's samples
-come from any method of the continuum. A generation is: light that reaches the hits, rays that go on, what they hit.
+Purcell et al., 'Ray Tracing on Programmable Graphics Hardware', section 3: kernels joined by streams, weights in place
+of recursion. The kernels are cl/light_hits.cl, cl/scatter_rays.cl, cl/trace_rays.cl; hits of the camera's samples come
+from any method of the continuum. A generation is: light that reaches the hits, rays that go on, what they hit.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Items:
 
 @dataclass(frozen=True)
 class Depths:
-    """How far light is followed. generations : of rays that go on; path_count : paths of a sample; seed : of numbers."""
+    """How far light is followed. generations : of rays that go on; path_count : paths of a sample."""
 
     generations: int
     path_count: int
@@ -76,9 +76,15 @@ class Integrator:
     """
 
     def __init__(
-        self, device: Device, features: Features, plan: EffectPlan, scene: Scene, surfaces: SurfaceBuffers, bvh: Bvh,
+        self,
+        device: Device,
+        features: Features,
+        plan: EffectPlan,
+        scene: Scene,
+        surfaces: SurfaceBuffers,
+        bvh: Bvh,
         depths: Depths,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.device, self.features, self.plan, self.depths = device, features, plan, depths
         self.is_path = features.indirect
         self.shows_shadows = plan["shadow"]
@@ -130,7 +136,12 @@ class Integrator:
         self.counts = no_rays()
 
     def gather(
-        self, visible_prims: cl.Buffer, hits: dict[str, cl.Buffer], pixel_count: int, values: cl.Buffer, first_plane: int
+        self,
+        visible_prims: cl.Buffer,
+        hits: dict[str, cl.Buffer],
+        pixel_count: int,
+        values: cl.Buffer,
+        first_plane: int,
     ) -> None:
         """Add to the colour of `pixel_count` samples what secondary rays bring. Waits.
 
@@ -174,7 +185,8 @@ class Integrator:
     def _light(self, items: Items, path: int, depth: int) -> cl.Buffer:
         """What lights bring to items: [item_count] float4."""
         radiances = self._room("radiances", 16 * items.count)
-        common = {"item_count": items.count, "is_first": int(items.is_first), **items.hits, **self._mesh, **self._surfaces}
+        numbers = {"item_count": items.count, "is_first": int(items.is_first)}
+        common = {**numbers, **items.hits, **self._mesh, **self._surfaces}
         red, green, blue = self.environment
         self._launch(
             self._lighting, "begin_light", items.count, **common, inverse_power=self._inverse_power,
@@ -238,7 +250,8 @@ class Integrator:
         throughputs: cl.Buffer,
     ) -> Items:  # fmt: skip
         make = buffers.create
-        made = {name: make(self.device, 16 * count) for name in ("item_positions", "item_directions", "item_throughputs")}
+        vectors = ("item_positions", "item_directions", "item_throughputs")
+        made = {name: make(self.device, 16 * count) for name in vectors}
         numbers = {name: make(self.device, 4 * count) for name in ("item_pixels", "item_keys")}
         self._launch(
             self._scattering, "arrive", count, ray_count=count, slot_count=self.slot_count,

@@ -1,4 +1,4 @@
-"""Lists of what is flagged in an array on the device, in order, by prefix sums (cl/list_samples.cl); and room for them."""
+"""Lists of what is flagged in an array on the device, in order, by prefix sums (cl/list_samples.cl), and memory."""
 
 from __future__ import annotations
 

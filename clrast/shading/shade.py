@@ -104,7 +104,9 @@ class Shader:
     def shade(
         self, view: np.ndarray, visible_prims: Any, pixel_count: int, layer: int, places: Any | None = None
     ) -> None:
-        """Enqueue the shading of one layer of a band, and wait for secondary rays, if there are any; layers after the first only add colour behind it.
+        """Enqueue the shading of one layer of a band; layers after the first only add colour behind it.
+
+        Where rays go on from hits, waits for them.
 
         places : with features.sample_list [pixel_count] uint2, which samples: pixel of the band, place in it.
         """

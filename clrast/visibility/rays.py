@@ -61,7 +61,7 @@ class RayBuffers:
     arguments: dict[str, cl.Buffer]
 
 
-def ray_features(device: Device, bvh: Bvh, **masks: bool) -> Features:
+def ray_features(device: Device, bvh: Bvh, **masks: Any) -> Features:
     """The build options of a tracer over that hierarchy; `Geometry` must be made with them, at world_scale 1.
 
     masks : what is looked up at hits, of alpha_mask, alpha_blend, textures and vertex_colors.
@@ -169,7 +169,8 @@ class RayTracer:
             "distances": buffers.create(self.device, 8 * rays.count),
             "weights": buffers.create(self.device, 16 * rays.count),
         }
-        self._launch("trace_closest", rays.count, **rays.arguments, **self._scene, **self._vertices, **self._masks, **made)
+        of_scene = {**self._scene, **self._vertices, **self._masks}
+        self._launch("trace_closest", rays.count, **rays.arguments, **of_scene, **made)
         return made
 
     def enqueue_any(self, rays: RayBuffers) -> cl.Buffer:
