@@ -422,4 +422,5 @@ class RenderJob:
                 **self.times,
             },
             "effects": self.plan.as_stats(),
+            "effect_costs": {} if self.integrator is None else self.integrator.effect_costs(),
         }

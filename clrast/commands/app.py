@@ -18,6 +18,7 @@ ABOUT = "Render triangle scenes with portable OpenCL kernels: the same bits on e
 
 VERBS = {
     "render": ("clrast.commands.render", "render_command", "Render a mesh or a scene card to EXR or PNG."),
+    "explain": ("clrast.commands.explain", "explain_command", "Which effects a scene calls for, why, at what cost."),
     "diff": ("clrast.commands.diff", "diff_command", "What changed between two images, every part and channel."),
     "compare": ("clrast.commands.compare", "compare_command", "Every method on one scene: time, counts, a plot."),
     "stress": ("clrast.commands.stress", "stress_command", "Hard cases by every method, against exact arithmetic."),
@@ -28,6 +29,7 @@ VERBS = {
 EXAMPLES = {
     "": "clrast render bunny.ply -o bunny.exr",
     "render": "clrast render bunny.ply -o bunny.exr -o bunny.png --size 640x480 --eye 0,0.1,0.4 --aov color,depth,id",
+    "explain": "clrast explain room.toml --mode whitted",
     "diff": "clrast diff reference.exr test.exr -o difference.png",
     "compare": "clrast compare bunny.ply -o bunny.svg --size 640x480 --repetitions 5",
     "stress": "clrast stress --failures wrong -o stress.html",
@@ -35,7 +37,6 @@ EXAMPLES = {
 }
 
 PLANNED = {
-    "explain": "clrast render INPUT --report",
     "cost": "clrast render INPUT --stats FILE.json",
     "accuracy": "clrast render INPUT --precision RUNG and clrast diff",
 }

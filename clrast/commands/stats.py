@@ -57,10 +57,24 @@ def to_json(stats: Mapping[str, Any]) -> str:
 
 def report_lines(stats: Mapping[str, Any]) -> list[str]:
     """The effects with their reasons and the stages with their times, as lines of a table."""
-    rows = [("effect", "on", "reason")]
-    rows += [(row["name"], "on" if row["on"] else "off", row["reason"]) for row in stats["effects"]]
-    widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
-    lines = [f"{name:<{widths[0]}}  {state:<{widths[1]}}  {reason}" for name, state, reason in rows]
+    costs = stats.get("effect_costs") or {}
+    total_ms = stats["times_ms"]["total"] or 1.0
+    rows: list[tuple[str, ...]] = [("effect", "on", "rays", "launches", "ms", "share", "reason")]
+    for row in stats["effects"]:
+        cost = costs.get(row["name"])
+        figures = ("", "", "", "")
+        if cost is not None:
+            ms = cost["ms"]
+            figures = (f"{cost['rays']:,}", f"{cost['launches']:,}", f"{ms:.1f}", f"{100 * ms / total_ms:.0f} %")
+        rows.append((row["name"], "on" if row["on"] else "off", *figures, row["reason"]))
+    if not costs:
+        rows = [(row[0], row[1], row[-1]) for row in rows]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
+    lines = []
+    for row in rows:
+        sized = enumerate(zip(row, widths, strict=False))
+        cells = [cell.ljust(width) if k < 2 else cell.rjust(width) for k, (cell, width) in sized]
+        lines.append("  ".join((*cells, row[-1])))
     if "method_reason" in stats:
         lines += ["", f"method {stats['method']}: {stats['method_reason']}"]
     counts = {**stats["counts"], **stats.get("other_counts", {})}

@@ -7,7 +7,10 @@ from any method of the continuum. A generation is: light that reaches the hits, 
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,6 +36,9 @@ WORK_GROUP = 16
 
 LEAST_WEIGHT = 2.0**-10
 """Of a mirrored or refracted ray in its pixel: those that bring less are not traced."""
+
+RAY_EFFECTS = {RAY_REFLECTED: "reflection", RAY_REFRACTED: "refraction", RAY_INDIRECT: "indirect light"}
+"""Kind of ray -> effect that it is traced for."""
 
 RAY_KINDS = {RAY_REFLECTED: "rays_reflection", RAY_REFRACTED: "rays_refraction", RAY_INDIRECT: "rays_indirect"}
 
@@ -103,6 +109,8 @@ class Integrator:
         self._room = Room(device)
         self.own_launches = 0
         self.counts = no_rays()
+        self._launches_of: dict[str, int] = {}
+        self._ms_of: dict[str, float] = {}
         self._find_lights(device, scene, surfaces)
         special = np.array([is_specular(material) for material in scene.materials], dtype=bool)
         self._special = special[scene.material_ids]
@@ -134,6 +142,33 @@ class Integrator:
 
     def start_frame(self) -> None:
         self.counts = no_rays()
+        self._launches_of.clear()
+        self._ms_of.clear()
+
+    def effect_costs(self) -> dict[str, dict[str, float]]:
+        """What each effect took in the last frame: rays, launches, milliseconds. Kinds of rays that go on from hits
+        together share their launches, and their time by their numbers."""
+        costs: dict[str, dict[str, float]] = {}
+        if self.plan["shadow"]:
+            costs["shadow"] = {"rays": self.counts["rays_shadow"], **self._spent("light", 1.0)}
+        going = sum(self.counts[name] for name in RAY_KINDS.values())
+        for kind, name in RAY_KINDS.items():
+            if self.plan[RAY_EFFECTS[kind]]:
+                share = self.counts[name] / going if going else 0.0
+                costs[RAY_EFFECTS[kind]] = {"rays": self.counts[name], **self._spent("go on", share)}
+        return costs
+
+    def _spent(self, stage: str, share: float) -> dict[str, float]:
+        return {"launches": self._launches_of.get(stage, 0), "ms": share * self._ms_of.get(stage, 0.0)}
+
+    def _booked(self, stage: str, work: Callable[[], Any]) -> Any:
+        """Do `work`, wait for it, and book its launches and time on a stage."""
+        before, started = self.launches, time.perf_counter()
+        result = work()
+        self.device.queue.finish()
+        self._launches_of[stage] = self._launches_of.get(stage, 0) + self.launches - before
+        self._ms_of[stage] = self._ms_of.get(stage, 0.0) + 1000 * (time.perf_counter() - started)
+        return result
 
     def gather(
         self,
@@ -170,14 +205,14 @@ class Integrator:
 
     def _trace_path(self, items: Items, path: int, generations: int, sums: cl.Buffer, pixel_count: int) -> None:
         for depth in range(generations + 1):
-            radiances = self._light(items, path, depth)
+            radiances = self._booked("light", partial(self._light, items, path, depth))
             self._launch(
                 self._scattering, "add_to_samples", items.count, item_count=items.count, pixel_count=pixel_count,
                 is_first=int(items.is_first), item_pixels=items.pixels, radiances=radiances, sums=sums,
             )  # fmt: skip
             if depth == generations:
                 return
-            following = self._go_on(items, path, depth)
+            following = self._booked("go on", partial(self._go_on, items, path, depth))
             if following is None:
                 return
             items = following
