@@ -20,6 +20,7 @@ from clrast.opencl.runtimes import PREFETCHING
 from clrast.options import RenderOptions
 from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Scene
+from clrast.shading.accumulation import Accumulation
 from clrast.shading.antialias import check_bands, make_resolver, resolver_bytes
 from clrast.shading.effects import EffectPlan
 from clrast.shading.integrator import Depths, Integrator, no_rays
@@ -142,6 +143,7 @@ class RenderJob:
         options: RenderOptions,
         plan: EffectPlan,
         method: Method | None = None,
+        accumulation: Accumulation | None = None,
     ) -> None:
         self.device, self.scene, self.vectors, self.options, self.plan = device, scene, vectors, options, plan
         self.times: dict[str, float] = {}
@@ -166,7 +168,7 @@ class RenderJob:
         self.surfaces = SurfaceBuffers(device, scene, plan, reads_uv="uv" in self.groups)
         self.times["upload"] = 1000 * (time.perf_counter() - started)
         self.scene_bytes = self.geometry.nbytes + self.surfaces.nbytes
-        self.integrator = self._make_integrator(hierarchy)
+        self.integrator = self._make_integrator(hierarchy, accumulation)
         self.bands = self._plan_bands()
         check_bands(self.options, len(self.bands))
         started = time.perf_counter()
@@ -184,12 +186,13 @@ class RenderJob:
         self.hit_count = self.samples_decided = 0
         self.launches = self.passes = self.reference_peak = self.band_count = 0
 
-    def _make_integrator(self, hierarchy: Bvh | None) -> Integrator | None:
+    def _make_integrator(self, hierarchy: Bvh | None, accumulation: Accumulation | None) -> Integrator | None:
         if hierarchy is None or not self.features.secondary:
             return None
         paths = self.options.path_count if self.features.indirect else 1
         depths = Depths(self.options.depth, paths, self.options.seed)
-        made = Integrator(self.device, self.features, self.plan, self.scene, self.surfaces, hierarchy, depths)
+        scene = (self.scene, self.surfaces, hierarchy)
+        made = Integrator(self.device, self.features, self.plan, *scene, depths, accumulation)
         self.scene_bytes += made.nbytes
         return made
 

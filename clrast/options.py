@@ -258,6 +258,10 @@ def _parse_counters(option: str, value: Any) -> bool:
     return value
 
 
+def _parse_budget(option: str, value: Any) -> float:
+    return parse_number(option, value, "seconds, more than 0", above=0.0)
+
+
 _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "size": parse_size,
     "precision": _choice(PRECISIONS, AVAILABLE_PRECISIONS),
@@ -282,8 +286,8 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "max_depth": _count(0, MAX_DEPTH),
     "quality": _parse_quality,
     "grid_resolution": _refused("leave it out, as no method here uses a grid"),
-    "time_budget": _refused("leave it out"),
-    "resume": _refused("leave it out"),
+    "time_budget": _parse_budget,
+    "resume": _text,
 }
 
 
@@ -345,6 +349,10 @@ class RenderOptions:
 
     def check_together(self) -> None:
         """Raises UsageError where options do not go together; a render does it before anything else."""
+        if self.resume is not None and self.aa.startswith("auto"):
+            raise UsageError("--resume: with --aa auto the samples depend on what was found before: use --aa ssaa:N")
+        if self.resume is not None and self.repeat > 1:
+            raise UsageError("--resume goes on with one render: leave out --repeat")
         if self.method != AUTO:
             resolve_method(self.method, self.oracle, intersection=self.intersection, evaluation=self.evaluation)
         elif self.oracle:

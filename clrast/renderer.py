@@ -11,14 +11,19 @@ import threading
 import time
 from typing import Any
 
+from clrast.errors import UsageError
+from clrast.image.files import check_writable
 from clrast.image.frame import Frame
 from clrast.image.header import resolved_header
 from clrast.job import RenderJob
 from clrast.opencl.device import Device, open_device
 from clrast.options import RenderOptions, make_options
 from clrast.scene.camera import CameraVectors, camera_vectors, frame_scene
+from clrast.scene.content import content_digest
 from clrast.scene.model import Camera, Scene
+from clrast.shading.accumulation import Accumulation
 from clrast.shading.effects import EffectPlan, plan_effects
+from clrast.shading.watch import Watch
 from clrast.visibility.cost_model import (
     CANDIDATE,
     DEFAULT,
@@ -33,11 +38,19 @@ _ONE_AT_A_TIME = threading.Lock()
 """Threads share a device's kernels, whose arguments are set before each launch: renders take turns."""
 
 
-def render(scene: Scene, camera: Camera | None = None, *, options: RenderOptions | None = None, **named: Any) -> Frame:
+def render(
+    scene: Scene,
+    camera: Camera | None = None,
+    *,
+    options: RenderOptions | None = None,
+    watch: Watch | None = None,
+    **named: Any,
+) -> Frame:
     """Render a scene; returns its channels, a header that says how it was made, and stats.
 
     camera : None frames the scene, or takes the file's first camera. options or named : see
-    RenderOptions. Raises UsageError, DeviceError, CapacityError.
+    RenderOptions. watch : may stop paths early, and is told of progress; `stats["stopped"]` says why paths are missing.
+    Raises UsageError, DeviceError, CapacityError; for a file to resume from SceneError, OutputError.
     """
     options = options or make_options(named)
     options.check_together()
@@ -47,28 +60,55 @@ def render(scene: Scene, camera: Camera | None = None, *, options: RenderOptions
         camera = scene.cameras[0] if scene.cameras else frame_scene(scene, width, height)
     vectors = camera_vectors(camera, width, height)
     plan = plan_effects(scene, options.aov, options.effects, options.mode)
+    watch = watch or Watch()
+    if options.time_budget is not None:
+        watch.deadline = started + options.time_budget
+    header = resolved_header(options, vectors.named(), [e.name for e in plan.effects if e.on], vectors.projection)
+    accumulation = _accumulation(scene, options, header, plan, watch)
     planned = time.perf_counter()
     device = open_device(options.device, options.threads)
     opened = time.perf_counter()
     with _ONE_AT_A_TIME:
-        job = start_job(device, scene, vectors, options, plan)
+        job = start_job(device, scene, vectors, options, plan, accumulation)
         job.times["plan"] = 1000 * (planned - started) + job.trial_ms
         job.times["device"] = 1000 * (opened - planned)
         frame_count = max(1, options.repeat + (1 if options.repeat else 0))
         channels = job.allocate()
         for k in range(frame_count):
             job.render_frame(channels, first=k == 0 or (k == 1 and options.repeat > 0))
-    header = resolved_header(options, vectors.named(), [e.name for e in plan.effects if e.on], vectors.projection)
+    accumulation.save()
     stats = job.stats()
+    stats["stopped"] = watch.stopped
+    if watch.stopped is not None:
+        low, high = accumulation.paths_done
+        header["samples"] = str(low) if low == high else f"{low}-{high}"
     stats["times_ms"]["total"] = 1000 * (time.perf_counter() - started)
     return Frame(channels, header, stats)
 
 
+def _accumulation(
+    scene: Scene, options: RenderOptions, header: dict[str, Any], plan: EffectPlan, watch: Watch
+) -> Accumulation:
+    """Where paths are summed; with --resume in a file, which knows what it belongs to."""
+    if options.resume is None:
+        return Accumulation(watch)
+    if not plan["indirect light"]:
+        raise UsageError("--resume keeps sums of paths, and none are traced here: use --mode path, or leave it out")
+    check_writable(options.resume, suffixes=None)
+    decides = {name: value for name, value in header.items() if name != "samples"}
+    return Accumulation(watch, options.resume, content_digest(scene, decides, options.aov))
+
+
 def start_job(
-    device: Device, scene: Scene, vectors: CameraVectors, options: RenderOptions, plan: EffectPlan
+    device: Device,
+    scene: Scene,
+    vectors: CameraVectors,
+    options: RenderOptions,
+    plan: EffectPlan,
+    accumulation: Accumulation | None = None,
 ) -> RenderJob:
     """The job of the method that the options name; with `auto` the fastest, by frames of the view itself."""
-    job = RenderJob(device, scene, vectors, options, plan)
+    job = RenderJob(device, scene, vectors, options, plan, accumulation=accumulation)
     if options.method != AUTO:
         return job
     if options.precision == "fixed":
@@ -83,7 +123,7 @@ def start_job(
     counts = job.count_view()
     if is_worth_a_trial(counts, default):
         method = resolve_method(CANDIDATE, evaluation=options.evaluation)
-        other = RenderJob(device, scene, vectors, options, plan, method)
+        other = RenderJob(device, scene, vectors, options, plan, method, accumulation)
         other.time_frame()
         candidate, default = other.time_frame(), job.time_frame()
         job.reason = other.reason = reason_of_trial(default, candidate)

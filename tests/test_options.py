@@ -147,8 +147,6 @@ def test_fov_is_inside_0_and_180(degrees: float) -> None:
         ("accelerator", "grid", "--accelerator grid is not available"),
         ("quality", "draft", "--quality draft is not available"),
         ("grid_resolution", "64", "--grid-resolution is not available"),
-        ("time_budget", "1.5", "--time-budget is not available"),
-        ("resume", "x.exr", "--resume is not available"),
         ("effects", "derivatives=on", "--effects derivatives=on is not available in this version; use auto or off"),
     ],
 )

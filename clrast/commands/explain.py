@@ -93,8 +93,8 @@ def table_lines(explanation: Explanation) -> list[str]:
         rows.append((row.name, "on" if row.on else "off", rays, ms, memory, row.reason, ", ".join(row.kernels)))
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = []
-    for row in rows:
-        sized = enumerate(zip(row, widths, strict=True))
+    for cells_of in rows:
+        sized = enumerate(zip(cells_of, widths, strict=True))
         cells = [cell.rjust(width) if 2 <= k <= 4 else cell.ljust(width) for k, (cell, width) in sized]
         lines.append("  ".join(cells).rstrip())
     if explanation.probe_size is not None:

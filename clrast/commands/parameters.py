@@ -172,8 +172,20 @@ Memory = Annotated[
         text="Budget of device memory, such as 512M or 2G; larger images are rendered in bands.", panel=MACHINE,
     ),
 ]  # fmt: skip
-TimeBudget = Annotated[Texts, typer.Option("--time-budget", metavar="S", hidden=True)]
-Resume = Annotated[Texts, typer.Option("--resume", metavar="FILE", hidden=True)]
+TimeBudget = Annotated[
+    Texts,
+    _option(
+        "--time-budget", metavar="S", panel=MACHINE,
+        text="Seconds after which no further path is begun: the image has those so far, and the exit code is 75.",
+    ),
+]  # fmt: skip
+Resume = Annotated[
+    Texts,
+    _option(
+        "--resume", metavar="FILE", panel=MACHINE,
+        text="Keep the sums of paths in FILE, and go on from it where it is there: as if never stopped.",
+    ),
+]  # fmt: skip
 Repeat = Annotated[
     Texts,
     _option(

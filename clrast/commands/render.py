@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +16,14 @@ import typer
 from clrast.commands import messages
 from clrast.commands import parameters as p
 from clrast.commands.outputs import Outputs
-from clrast.commands.progress import progress
+from clrast.commands.progress import path_observer, progress
 from clrast.commands.request import Request, make_request
 from clrast.commands.stats import complete_stats, report_lines, summary, to_json
 from clrast.commands.viewpoint import VIEW_NAMES, View, make_view
-from clrast.errors import EXIT_OK, InputNotFoundError, OutputError, UsageError
+from clrast.errors import EXIT_BUDGET, EXIT_INTERRUPTED, EXIT_OK, InputNotFoundError, OutputError, UsageError
 from clrast.image.header import effects_text
 from clrast.options import OPTION_NAMES, RenderOptions, make_options
+from clrast.shading.watch import Watch
 
 if TYPE_CHECKING:
     from clrast.image.frame import Frame
@@ -98,8 +102,9 @@ def run(values: Mapping[str, Any], started: float) -> int:
     job = make_job(values, started)
     check_input(job.source)
     job.outputs.check_writable()
+    watch = Watch()
     try:
-        stats = _render_and_write(job)
+        stats = _render_and_write(job, watch)
     finally:
         job.outputs.discard()
     if job.json:
@@ -108,7 +113,37 @@ def run(values: Mapping[str, Any], started: float) -> int:
         messages.result("\n".join(report_lines(stats)))
     if not job.quiet:
         messages.note(summary(stats))
-    return EXIT_OK
+    return _exit_code(stats, watch, job)
+
+
+def _exit_code(stats: Mapping[str, Any], watch: Watch, job: Job) -> int:
+    """0, or why paths are missing from an image that is written all the same."""
+    if watch.interrupted:
+        return EXIT_INTERRUPTED
+    if stats["stopped"] is None:
+        return EXIT_OK
+    budget = job.given.get("time_budget")
+    messages.error(f"--time-budget {budget} is reached: the image has fewer paths than wanted: --resume FILE goes on")
+    return EXIT_BUDGET
+
+
+@contextmanager
+def _interruptible(watch: Watch) -> Iterator[None]:
+    """The first interruption lets the render end with the paths that it has; a second one ends it at once."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: Any) -> None:
+        if watch.interrupted:
+            raise KeyboardInterrupt
+        watch.interrupted = True
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def make_job(values: Mapping[str, Any], started: float) -> Job:
@@ -143,7 +178,7 @@ def check_input(path: str) -> None:
         raise InputNotFoundError(f"{path} does not exist: check the name, relative to {os.getcwd()}")
 
 
-def _render_and_write(job: Job) -> dict[str, Any]:
+def _render_and_write(job: Job, watch: Watch) -> dict[str, Any]:
     """Load, render, write; returns the complete stats. Notes come last: a failure is its one line alone."""
     with progress(job.quiet) as show:
         show(f"loading {job.source}")
@@ -152,7 +187,8 @@ def _render_and_write(job: Job) -> dict[str, Any]:
         for line in (*scene.warnings, *request.warnings):
             messages.warn(line)
         show(f"rendering {scene.triangle_count} triangles")
-        frame, exr_frame = _render(scene, request, job)
+        watch.observer = path_observer(show)
+        frame, exr_frame = _render(scene, request, job, watch)
         show("writing")
         stats = _write(frame, exr_frame, request, job)
     if not job.quiet:
@@ -170,13 +206,14 @@ def _load(job: Job) -> Scene:
     return scene
 
 
-def _render(scene: Scene, request: Request, job: Job) -> tuple[Frame, Frame]:
+def _render(scene: Scene, request: Request, job: Job, watch: Watch) -> tuple[Frame, Frame]:
     """The frame of pictures and the frame of EXR files: the same, unless a PNG alone wants colour."""
     from clrast.renderer import render
 
     options = request.options
     if not job.outputs.has_png or "color" in options.aov:
-        frame = render(scene, request.camera, options=options)
+        with _interruptible(watch) if options.mode == "path" else nullcontext():
+            frame = render(scene, request.camera, options=options, watch=watch)
         return frame, frame
     frame = render(scene, request.camera, options=replace(options, aov=("color", *options.aov)))
     return frame, _without_color(frame, scene, options)

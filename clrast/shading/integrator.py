@@ -21,10 +21,12 @@ from clrast.opencl.device import Device
 from clrast.opencl.features import Features
 from clrast.opencl.layout import NO_HIT
 from clrast.scene.model import Scene
+from clrast.shading.accumulation import Accumulation
 from clrast.shading.effects import EffectPlan, is_specular
 from clrast.shading.light_sources import find_light_sources
 from clrast.shading.sample_lists import FlagList, Room
 from clrast.shading.surfaces import MASK_ARGUMENTS, SurfaceBuffers
+from clrast.shading.watch import Watch
 from clrast.visibility.bvh import Bvh
 from clrast.visibility.geometry import build_geometry
 from clrast.visibility.rays import RayTracer, ray_features
@@ -90,7 +92,9 @@ class Integrator:
         surfaces: SurfaceBuffers,
         bvh: Bvh,
         depths: Depths,
+        accumulation: Accumulation | None = None,
     ) -> None:
+        self.accumulation = accumulation or Accumulation(Watch())
         self.device, self.features, self.plan, self.depths = device, features, plan, depths
         self.is_path = features.indirect
         self.shows_shadows = plan["shadow"]
@@ -142,6 +146,7 @@ class Integrator:
 
     def start_frame(self) -> None:
         self.counts = no_rays()
+        self.accumulation.start_frame()
         self._launches_of.clear()
         self._ms_of.clear()
 
@@ -186,7 +191,11 @@ class Integrator:
         if not pixel_count or not self._has_hits(visible_prims, pixel_count):
             return
         sums = self._room("sums", 12 * pixel_count)
-        buffers.fill(self.device, sums, np.float32(0), 12 * pixel_count)
+        done, kept = self.accumulation.begin(3 * pixel_count)
+        if kept is None:
+            buffers.fill(self.device, sums, np.float32(0), 12 * pixel_count)
+        else:
+            buffers.write(self.device, sums, kept)
         first = Items(
             pixel_count, True,
             {"item_prims": visible_prims, "item_weights": hits["hit_weights"],
@@ -195,13 +204,24 @@ class Integrator:
             hits["hit_positions"], visible_prims, hits["sample_keys"],
         )  # fmt: skip
         goes_on = self.slot_count > 0 and (self.is_path or self._shows_special(visible_prims, pixel_count))
-        for path in range(self.depths.path_count):
-            self._trace_path(first, path, self.depths.generations if goes_on else 0, sums, pixel_count)
+        done = self._trace_paths(first, done, self.depths.generations if goes_on else 0, sums, pixel_count)
         self._launch(
             self._scattering, "add_mean", pixel_count, pixel_count=pixel_count,
-            path_count=float(self.depths.path_count), sums=sums, first_plane=first_plane, values=values,
+            path_count=float(done), sums=sums, first_plane=first_plane, values=values,
         )  # fmt: skip
         self.device.queue.finish()
+
+    def _trace_paths(self, first: Items, done: int, generations: int, sums: cl.Buffer, pixel_count: int) -> int:
+        """Trace what is wanted of paths beyond the `done` first, one at least of each sample; returns how many are."""
+        wanted, watch = self.depths.path_count, self.accumulation.watch
+        while done < wanted and not (done and watch.should_stop()):
+            self._trace_path(first, done, generations, sums, pixel_count)
+            done += 1
+            if self.is_path:
+                watch.tell(done, wanted, sum(self.counts.values()))
+        read = partial(buffers.download, self.device, sums, np.float32, 3 * pixel_count)
+        self.accumulation.end(done, read)
+        return done
 
     def _trace_path(self, items: Items, path: int, generations: int, sums: cl.Buffer, pixel_count: int) -> None:
         for depth in range(generations + 1):
