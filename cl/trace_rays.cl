@@ -26,8 +26,7 @@
 typedef struct {
   global const float4 *corners;    // [3 * triangle_count] as prepare_triangles.cl leaves them, by slot
   global const uint *prims;        // [triangle_count] prim_id of each slot
-  global const uint *children;     // [nodes * NODE_WIDTH] node, or LEAF_BIT | first slot, or EMPTY_CHILD
-  global const uint *slot_counts;  // [nodes * NODE_WIDTH] triangles of a leaf
+  global const uint *children;     // [nodes * NODE_WIDTH] node; or LEAF_BIT | (triangles - 1) << LEAF_SLOT_LOG2 | first slot
   global const float *node_boxes;  // [nodes * 6 * NODE_WIDTH] min x, y, z, max x, y, z of each child
 #if MASKED
   global const float4 *positions;  // [vertex_count] world space
@@ -114,24 +113,63 @@ static bool meet_leaf(const Hierarchy *h, Ray ray, uint first, uint end, bool an
   return improved;
 }
 
-// Pushes the children of a node that the ray enters before `limit`, the nearest last where `sorted`.
+// Asks for the corners of a child that is a leaf: rays that go anywhere find them in no near cache.
+INLINE void expect_leaf(const Hierarchy *h, uint child) {
+#if PREFETCH
+  if (!(child & LEAF_BIT)) return;
+  const size_t address = (size_t)(h->corners + 3 * (size_t)(child & LEAF_SLOT));
+  for (size_t line = 0; line < 384; line += 64) __builtin_prefetch((const void *)(address + line));
+#endif
+}
+
+// A child on the stack: where the ray enters it, as bits that sort like the number, above what it is.
+INLINE ulong stack_key(const Hierarchy *h, uint place, float entry) {
+  const uint child = h->children[place];
+  expect_leaf(h, child);
+  return (ulong)as_uint(entry) << 32 | child;
+}
+
+// Pushes the children of a node that the ray enters before `limit`, the nearest last where `sorted`. One and two
+// children, the most frequent numbers, have ways of their own.
 INLINE uint push_entered(const Hierarchy *h, Ray ray, uint node, float limit, bool sorted, ulong *stack, uint top) {
   const uint base = top;
+  const uint x = ray.inverse.x < 0.0f ? 3 * NODE_WIDTH : 0, y = ray.inverse.y < 0.0f ? 3 * NODE_WIDTH : 0;
+  const uint z = ray.inverse.z < 0.0f ? 3 * NODE_WIDTH : 0;
   for (uint k = 0; k < NODE_WIDTH; k += VECTOR_WIDTH) {
     global const float *boxes = h->node_boxes + (size_t)node * 6 * NODE_WIDTH + k;
-    const Vec3 low = {LOAD_V(boxes), LOAD_V(boxes + NODE_WIDTH), LOAD_V(boxes + 2 * NODE_WIDTH)};
-    const Vec3 high = {LOAD_V(boxes + 3 * NODE_WIDTH), LOAD_V(boxes + 4 * NODE_WIDTH), LOAD_V(boxes + 5 * NODE_WIDTH)};
-    const Interval within = slab_interval(low, high, ray);
+    const Vec3 near = {LOAD_V(boxes + x), LOAD_V(boxes + NODE_WIDTH + y), LOAD_V(boxes + 2 * NODE_WIDTH + z)};
+    const Vec3 far = {
+        LOAD_V(boxes + 3 * NODE_WIDTH - x), LOAD_V(boxes + 4 * NODE_WIDTH - y), LOAD_V(boxes + 5 * NODE_WIDTH - z)};
+    const Interval within = slab_interval_between(near, far, ray);
     const int_v entered = (within.entry <= within.exit) & (within.entry <= limit) & (within.entry < ray.t_max);
     float entry[VECTOR_WIDTH];
     STORE_V(within.entry, entry);
-    for (ulong mask = LANE_MASK(entered); mask != 0; mask &= mask - 1) {
-      const int lane = first_lane(mask);
-      const ulong key = (ulong)as_uint(entry[lane]) << 32 | (node * NODE_WIDTH + k + (uint)lane);
-      uint place = top++;
+    ulong mask = LANE_MASK(entered);
+    if (mask == 0) continue;
+    const uint place = node * NODE_WIDTH + k;
+    const int first = first_lane(mask);
+    ulong key = stack_key(h, place + first, entry[first]);
+    mask &= mask - 1;
+    const ulong more = mask & (mask - 1);
+    if (more == 0 && (!sorted || top == base)) {
+      if (mask != 0) {
+        const int second = first_lane(mask);
+        const ulong other = stack_key(h, place + second, entry[second]);
+        stack[top++] = max(key, other);
+        key = min(key, other);
+      }
+      stack[top++] = key;
+      continue;
+    }
+    while (true) {
+      uint at = top++;
       if (sorted)
-        for (; place > base && stack[place - 1] < key; --place) stack[place] = stack[place - 1];
-      stack[place] = key;
+        for (; at > base && stack[at - 1] < key; --at) stack[at] = stack[at - 1];
+      stack[at] = key;
+      if (mask == 0) break;
+      const int lane = first_lane(mask);
+      key = stack_key(h, place + lane, entry[lane]);
+      mask &= mask - 1;
     }
   }
   return top;
@@ -142,19 +180,21 @@ INLINE Best trace(const Hierarchy *h, Ray ray, bool any_hit) {
   Best best = {0, NO_HIT, INFINITY, INFINITY, INFINITY, {0.0f, 0.0f, 0.0f}};
   if (!(ray.t_min < ray.t_max)) return best;
   ulong stack[STACK_CAPACITY];
-  uint top = push_entered(h, ray, 0, best.high, !any_hit, stack, 0);
-  while (top > 0) {
-    const ulong key = stack[--top];
-    if (as_float((uint)(key >> 32)) > best.high) continue;
-    const uint place = (uint)key, child = h->children[place];
+  uint top = 0, child = 0;
+  while (true) {
     if (!(child & LEAF_BIT)) {
       top = push_entered(h, ray, child, best.high, !any_hit, stack, top);
-      continue;
+    } else {
+      const uint first = child & LEAF_SLOT, count = (child >> LEAF_SLOT_LOG2 & (MAX_LEAF_COUNT - 1)) + 1;
+      if (meet_leaf(h, ray, first, first + count, any_hit, &best) && any_hit) return best;
     }
-    const uint first = child & ~LEAF_BIT;
-    if (meet_leaf(h, ray, first, first + h->slot_counts[place], any_hit, &best) && any_hit) return best;
+    ulong key;
+    do {
+      if (top == 0) return best;
+      key = stack[--top];
+    } while (as_float((uint)(key >> 32)) > best.high);
+    child = (uint)key;
   }
-  return best;
 }
 
 // Reads: corners (prepare_triangles), the hierarchy (host). Writes: prims_hit, distances, weights (for offset_origins and
@@ -167,7 +207,6 @@ kernel void trace_closest(
     global const float4 *restrict corners,     // [3 * triangle_count] by slot
     global const uint *restrict prims,         // [triangle_count] prim_id of each slot
     global const uint *restrict children,      // [nodes * NODE_WIDTH]
-    global const uint *restrict slot_counts,   // [nodes * NODE_WIDTH]
     global const float *restrict node_boxes,   // [nodes * 6 * NODE_WIDTH]
     global const float4 *restrict positions,   // [vertex_count] world space
     global const uint *restrict indices,       // [3 * triangle_count] vertices
@@ -187,7 +226,7 @@ kernel void trace_closest(
 {
   const uint item = get_global_id(0);
   if (item >= ray_count) return;
-  const Hierarchy h = {corners, prims, children, slot_counts, node_boxes
+  const Hierarchy h = {corners, prims, children, node_boxes
 #if MASKED
                        , positions, indices, {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors}
 #endif
@@ -213,7 +252,6 @@ kernel void trace_any(
     global const float4 *restrict corners,     // [3 * triangle_count] by slot
     global const uint *restrict prims,         // [triangle_count] prim_id of each slot
     global const uint *restrict children,      // [nodes * NODE_WIDTH]
-    global const uint *restrict slot_counts,   // [nodes * NODE_WIDTH]
     global const float *restrict node_boxes,   // [nodes * 6 * NODE_WIDTH]
 #if MASKED
     global const float4 *restrict positions,   // [vertex_count] world space
@@ -233,7 +271,7 @@ kernel void trace_any(
 {
   const uint item = get_global_id(0);
   if (item >= ray_count) return;
-  const Hierarchy h = {corners, prims, children, slot_counts, node_boxes
+  const Hierarchy h = {corners, prims, children, node_boxes
 #if MASKED
                        , positions, indices, {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors}
 #endif

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clrast.opencl.device import Device
-from clrast.opencl.layout import EMPTY_CHILD, LEAF_BIT, NO_HIT, NODE_WIDTH
+from clrast.opencl.layout import EMPTY_CHILD, LEAF_BIT, MAX_LEAF_COUNT, NO_HIT, NODE_WIDTH
 from clrast.visibility.bvh import Bvh
 from clrast.visibility.rays import RayTracer, make_tracer
 
@@ -213,13 +213,33 @@ def reintersections(device: Device, shape_count: int, ray_count: int, rng: np.ra
     return left, again
 
 
-def one_leaf(mesh: Mesh) -> Bvh:
-    """A hierarchy that is none: one leaf with everything, so that a tracer goes by brute force."""
-    children = np.full((1, NODE_WIDTH), EMPTY_CHILD, dtype=np.uint32)
+def one_box(mesh: Mesh) -> Bvh:
+    """A hierarchy that is none: every box is that of everything, so that a tracer goes by brute force."""
+    count = len(mesh[1])
+    leaves = [(first, min(first + MAX_LEAF_COUNT, count)) for first in range(0, count, MAX_LEAF_COUNT)]
+    nodes, levels = [(0, len(leaves))], [(0, 1)]  # what leaves each node covers, breadth first
+    rows = []
+    for begin, end in nodes:  # grows as it is walked
+        share = 1
+        while share * NODE_WIDTH < end - begin:
+            share *= NODE_WIDTH
+        row = []
+        for first in range(begin, end, share):
+            if share == 1:
+                row.append((LEAF_BIT | leaves[first][0], leaves[first][1] - leaves[first][0]))
+            else:
+                row.append((len(nodes), 0))
+                nodes.append((first, min(first + share, end)))
+        rows.append(row)
+        if len(rows) == levels[-1][1] and len(nodes) > len(rows):
+            levels.append((len(rows), len(nodes)))
+    children = np.full((len(rows), NODE_WIDTH), EMPTY_CHILD, dtype=np.uint32)
     counts = np.zeros_like(children)
-    boxes = np.full((1, 6, NODE_WIDTH), np.inf, dtype=np.float32)
+    boxes = np.full((len(rows), 6, NODE_WIDTH), np.inf, dtype=np.float32)
     boxes[:, 3:] = -np.inf
-    children[0, 0], counts[0, 0] = LEAF_BIT, len(mesh[1])
     used = mesh[0][mesh[1]].reshape(-1, 3)
-    boxes[0, :3, 0], boxes[0, 3:, 0] = used.min(axis=0), used.max(axis=0)
-    return Bvh(children, counts, boxes, np.arange(len(mesh[1]), dtype=np.uint32), ((0, 1),))
+    for number, row in enumerate(rows):
+        children[number, : len(row)], counts[number, : len(row)] = zip(*row, strict=True)
+        boxes[number, :3, : len(row)] = used.min(axis=0)[:, None]
+        boxes[number, 3:, : len(row)] = used.max(axis=0)[:, None]
+    return Bvh(children, counts, boxes, np.arange(count, dtype=np.uint32), tuple(levels))

@@ -19,7 +19,7 @@ from ray_worlds import (
     lattice_rays,
     lattice_soup,
     lost_in_bounces,
-    one_leaf,
+    one_box,
     placed,
     rays_from_inside,
     rays_from_outside,
@@ -163,7 +163,7 @@ def test_the_hierarchy_changes_no_bit(device: Device, name: str) -> None:
         "all scales": (soup, aimed_rays(soup, 200, 14)),
         "lattice": (lattice_soup(300, 15), lattice_rays(1500, 16)),
     }[name]
-    tracer, brute = make_tracer(device, *mesh), make_tracer(device, *mesh, bvh=one_leaf(mesh))
+    tracer, brute = make_tracer(device, *mesh), make_tracer(device, *mesh, bvh=one_box(mesh))
     assert closest_bytes(tracer, *rays) == closest_bytes(brute, *rays)
     limited = limited_rays(tracer, rays, 17)
     found = tracer.closest(*limited)

@@ -133,7 +133,7 @@ def count_hierarchy(device: Device, ray_count: int) -> Iterator[Count]:
         "lattice": (worlds.lattice_soup(400, SEED), worlds.lattice_rays(ray_count, SEED)),
     }
     for name, (mesh, rays) in cases.items():
-        tracer, brute = make_tracer(device, *mesh), make_tracer(device, *mesh, bvh=worlds.one_leaf(mesh))
+        tracer, brute = make_tracer(device, *mesh), make_tracer(device, *mesh, bvh=worlds.one_box(mesh))
         found, expected = tracer.closest(*rays), brute.closest(*rays)
         same = (found.prim_id == expected.prim_id) & (found.t.view(np.uint32) == expected.t.view(np.uint32))
         yield f"hierarchy, {name}", len(same), int((~same).sum())

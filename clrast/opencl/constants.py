@@ -98,6 +98,13 @@ LEAF_BIT = 0x80000000
 
 EMPTY_CHILD = 0xFFFFFFFF
 
+MAX_LEAF_COUNT = 16
+"""Triangles of a leaf, for rays: their number less 1 stands in the four bits under LEAF_BIT."""
+
+LEAF_SLOT_LOG2 = 27
+LEAF_SLOT = (1 << LEAF_SLOT_LOG2) - 1
+"""Of such a leaf: the bits of its first slot."""
+
 WORK_COUNTERS = (
     "setups", "edge_evaluations", "samples_tested", "samples_covered", "samples_written", "traversal_steps",
     "frusta_split", "blocks_culled", "nodes_culled",

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clrast.errors import DeviceError, SceneError, UsageError
+from clrast.errors import CapacityError, DeviceError, SceneError, UsageError
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features, Precision, Projection
-from clrast.opencl.layout import NO_HIT
+from clrast.opencl.layout import LEAF_SLOT, LEAF_SLOT_LOG2, MAX_LEAF_COUNT, NO_HIT
+from clrast.opencl.runtimes import PREFETCHING
 from clrast.visibility.bvh import Bvh, build_bvh
 from clrast.visibility.frusta import stack_capacity
 from clrast.visibility.geometry import Geometry, build_geometry
@@ -72,6 +73,7 @@ def ray_features(device: Device, bvh: Bvh, **masks: Any) -> Features:
         projection=Projection.PERSPECTIVE,
         float64=device.has_fp64,
         leaf_order=True,
+        prefetch=device.runtime in PREFETCHING,
         stack_capacity=max(MIN_STACK, stack_capacity(bvh.depth, 0)),
         **masks,
     )
@@ -123,8 +125,7 @@ class RayTracer:
         self._scene = {
             "corners": geometry.corners,
             "prims": geometry.prims,
-            "children": buffers.upload(device, bvh.children),
-            "slot_counts": buffers.upload(device, bvh.counts),
+            "children": buffers.upload(device, _children_with_counts(bvh)),
             "node_boxes": buffers.upload(device, bvh.boxes),
         }
         self._vertices = {"positions": geometry.world_positions, "indices": geometry.indices}
@@ -255,6 +256,17 @@ class RayTracer:
             items = -(-count // WORK_GROUP) * WORK_GROUP
             self._program.launch(kernel, items, WORK_GROUP, ray_count=count, **arguments)
             self.launches += 1
+
+
+def _children_with_counts(bvh: Bvh) -> np.ndarray:
+    """Children as trace_rays.cl takes them: leaves with the number of their triangles. Raises CapacityError."""
+    most, slots = int(bvh.counts.max(initial=0)), len(bvh.prims)
+    if most > MAX_LEAF_COUNT or slots > LEAF_SLOT + 1:
+        allowed = f"{LEAF_SLOT + 1} triangles, {MAX_LEAF_COUNT} of a leaf"
+        raise CapacityError(f"rays take at most {allowed}, here are {slots}, {most} of a leaf: take a smaller scene")
+    is_leaf = bvh.counts > 0
+    packed = bvh.children | (bvh.counts - is_leaf).astype(np.uint32) << np.uint32(LEAF_SLOT_LOG2)
+    return np.where(is_leaf, packed, bvh.children).astype(np.uint32)
 
 
 def _vectors(name: str, values: Any, count: int) -> np.ndarray:
