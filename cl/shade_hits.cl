@@ -12,6 +12,7 @@
 
 #include "vector.clh"
 #include "edge_function.clh"
+#define FOOTPRINTS DERIVATIVES
 #include "surface.clh"
 #include "lighting.clh"
 #include "pair.clh"
@@ -44,7 +45,7 @@ static inline float4 meet_plane(View view, float4 p0, float4 p1, float4 p2, floa
 
 // Evaluates the visible triangle at the sample (x, y) of the viewport.
 static inline Hit find_hit(
-    View view, uint prim_id, float x, float y, float4 direction,
+    View view, uint prim_id, float x, float y, float footprint, float4 direction,
     global const float4 *positions, global const uint *indices, global const float4 *normals) {
   Hit hit;
   hit.at.prim_id = prim_id;
@@ -63,6 +64,16 @@ static inline Hit find_hit(
     weigh_vertices(&hit.at, v[1], v[2], v[0]);
   else
     weigh_vertices(&hit.at, v[0], v[1], v[2]);
+#if FOOTPRINTS
+  float2 gradient[3];
+  for (uint i = 0; i < 3; ++i) gradient[i] = (float2)(setup.edge[i].gx, setup.edge[i].gy) * footprint;
+  if (is_first(b, c, a))
+    spread_weights(&hit.at, (v[0] + v[1]) + v[2], gradient[2], gradient[0], gradient[1]);
+  else if (is_first(c, a, b))
+    spread_weights(&hit.at, (v[0] + v[1]) + v[2], gradient[1], gradient[2], gradient[0]);
+  else
+    spread_weights(&hit.at, (v[0] + v[1]) + v[2], gradient[0], gradient[1], gradient[2]);
+#endif
   hit.position = meet_plane(view, p0, p1, p2, x, y, &hit.t);
   hit.direction = direction;
   const Vec3 plane = cross3(subtract(b, a), subtract(c, a));
@@ -122,6 +133,9 @@ kernel void shade_hits(
     Planes planes,                                 // where each group of channels goes
     uint pixel_count,                              // of the band
     uint light_count,
+#if DERIVATIVES
+    float footprint,                               // side of what a sample stands for, pixels
+#endif
     uint layer,                                    // 0, then 1.. for what lies behind BLEND surfaces
     global const float4 *restrict positions,       // [vertex_count] world space times world_scale
     global const uint *restrict indices,           // [3 * triangle_count]
@@ -163,6 +177,9 @@ kernel void shade_hits(
   const float y = (float)(place / view.width + (view.band_row << TILE_LOG2)) + sample_y;
   const size_t stride = pixel_count;
   global float *out = values + pixel;
+#if !DERIVATIVES
+  const float footprint = 0.0f;
+#endif
 
 #if PROJECTION == PROJECTION_ORTHOGRAPHIC
   const float4 direction = view.axis;
@@ -202,7 +219,7 @@ kernel void shade_hits(
   }
 
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
-  const Hit hit = find_hit(view, prim_id, x, y, direction, positions, indices, normals);
+  const Hit hit = find_hit(view, prim_id, x, y, footprint, direction, positions, indices, normals);
   const uint material_id = material_ids[prim_id];
   if (layer == 0) {
     if (planes.depth != PLANE_NONE) out[planes.depth * stride] = hit.t;

@@ -119,6 +119,7 @@ def make_features(
         normal_interpolation=plan["normal interpolation"],
         emission=plan["emission"],
         vertex_colors=scene.colors is not None,
+        derivatives=plan["derivatives"] and plan["textures"],
         lit=bool(scene.lights),
         secondary=plan["secondary acceleration structure"],
         reflection=plan["reflection"],

@@ -35,8 +35,8 @@ EFFECTS = (
     "shadow", "reflection", "refraction", "indirect light", "emission", "textures", "normal interpolation",
     "alpha mask", "alpha blend", "environment", "secondary acceleration structure", "derivatives",
 )  # fmt: skip
-EFFECTS_LEFT_OFF = ("secondary acceleration structure", "derivatives")
-"""Effects that cannot be asked for: the first is there where a ray needs it; the others this version lacks."""
+EFFECTS_LEFT_OFF = ("secondary acceleration structure",)
+"""Effects that cannot be asked for: it is there where a ray needs it."""
 EFFECT_STATES = ("on", "off", "auto")
 
 MAX_SIDE = 65535

@@ -147,7 +147,11 @@ def test_fov_is_inside_0_and_180(degrees: float) -> None:
         ("accelerator", "grid", "--accelerator grid is not available"),
         ("quality", "draft", "--quality draft is not available"),
         ("grid_resolution", "64", "--grid-resolution is not available"),
-        ("effects", "derivatives=on", "--effects derivatives=on is not available in this version; use auto or off"),
+        (
+            "effects",
+            "secondary_acceleration_structure=on",
+            "secondary_acceleration_structure=on is not available in this version; use auto or off",
+        ),
     ],
 )
 def test_what_is_not_there_yet_says_so(name: str, value: str | bool, message: str) -> None:

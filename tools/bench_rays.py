@@ -7,8 +7,8 @@
 Rays are incoherent: origins uniform in the scene's box, or for `sponza inside` within its middle half, directions
 uniform on the sphere, from a fixed seed. Both renderers trace each kind in turn, so that a machine that drifts drifts
 for both. clrast is timed from the launch to the finished queue, with rays and scene on the device; Embree from its
-first ray to its last, with rays and tree made beforehand. The table gives medians with the 10th and 90th percentile, the
-median of the paired ratios, and the time that each hierarchy takes to build.
+first ray to its last, with rays and tree made beforehand. The table gives medians with the 10th and 90th percentile,
+the median of the paired ratios, and the time that each hierarchy takes to build.
 """
 
 from __future__ import annotations

@@ -69,6 +69,7 @@ class Features:
     normal_interpolation: bool = False
     emission: bool = False
     vertex_colors: bool = False
+    derivatives: bool = False  # textures are filtered by what a pixel covers
     sample_list: bool = False  # shading takes a list of samples, not all pixels of a band
     lit: bool = False  # punctual lights; off: the headlight
     secondary: bool = False  # shading leaves hits for rays that go on from them

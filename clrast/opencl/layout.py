@@ -85,6 +85,7 @@ TEXTURE = np.dtype(
         ("width", "<u4"),
         ("height", "<u4"),
         ("srgb", "<u4"),  # 1: RGB bytes go through the sRGB table
+        ("level_count", "<u4"),  # mip maps that follow each other, the full image included
     ]
 )
 

@@ -245,6 +245,7 @@ class CardReader:
             wrap_u=entry.wrap[0],
             wrap_v=entry.wrap[1],
             nearest=entry.nearest,
+            mipmap=entry.mipmap,
         )
 
     def _lights(self) -> list[Light]:

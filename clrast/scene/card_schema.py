@@ -115,6 +115,7 @@ class TextureTable(Table):
         "repeat",
     ]
     nearest: bool = False
+    mipmap: bool = False
 
 
 TextureEntry = Annotated[TextureTable, BeforeValidator(_file_alone)]

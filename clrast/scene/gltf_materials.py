@@ -32,6 +32,7 @@ MAX_COORDINATE = 1e6  # of a texture transform: beyond, float32 has no texels le
 
 _WRAP_MODES: dict[int, WrapMode] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 _NEAREST = 9728
+_MIPMAPS = (9984, 9985, 9986, 9987)
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "OPAQUE", "MASK": "MASK", "BLEND": "BLEND"}
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
@@ -161,6 +162,7 @@ def _read_texture_use(file: GltfFile, reference: object, where: str) -> TextureU
         wrap_u=_wrap_mode(file, sampler, "wrapS", place),
         wrap_v=_wrap_mode(file, sampler, "wrapT", place),
         nearest=get_integer(sampler, "magFilter", place, 0) == _NEAREST,
+        mipmap=get_integer(sampler, "minFilter", place, 0) in _MIPMAPS,
     )
 
 

@@ -34,7 +34,8 @@ class TextureUse:
     """How a material looks a texture up.
 
     `texture` indexes `Scene.textures`; `uv_set` is 0 or 1; `transform` is the 2x3 matrix, row by
-    row (m00 m01 m02 m10 m11 m12), that takes (u, v, 1) to the coordinates looked up.
+    row (m00 m01 m02 m10 m11 m12), that takes (u, v, 1) to the coordinates looked up. `mipmap` : the file asks for
+    mip maps.
     """
 
     texture: int
@@ -43,6 +44,7 @@ class TextureUse:
     wrap_u: WrapMode = "repeat"
     wrap_v: WrapMode = "repeat"
     nearest: bool = False
+    mipmap: bool = False
 
 
 @dataclass(frozen=True)

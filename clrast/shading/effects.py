@@ -104,7 +104,12 @@ def plan_effects(
     wanted: Wanted = {}
     wanted.update(_plan_secondary(scene, materials, mode if "color" in groups else None))
     wanted.update(_plan_surfaces(scene, materials, groups))
-    wanted["derivatives"] = (False, "textures are looked up at full size without filter footprints")
+    if wanted["textures"][0]:
+        wanted["derivatives"] = _called_for(
+            materials, _filters_textures, "its texture asks for mip maps", "no texture asks for mip maps"
+        )
+    else:
+        wanted["derivatives"] = (False, "no texture is looked up")
     for name, state in (asked or {}).items():
         if state == "on" and not wanted[name][0]:
             wanted[name] = (True, "asked for by --effects")
@@ -188,6 +193,16 @@ def _plan_surfaces(scene: Scene, materials: list[Material], groups: set[str]) ->
     else:
         wanted["normal interpolation"] = (False, "no output that is asked for reads a normal")
     return wanted
+
+
+def _filters_textures(material: Material) -> bool:
+    uses = (material.base_color_texture, material.emissive_texture)
+    return any(use is not None and use.mipmap for use in uses)
+
+
+def asks_for_mipmaps(scene: Scene) -> bool:
+    """Whether a material in use asks for mip maps."""
+    return any(_filters_textures(material) for material in used_materials(scene))
 
 
 def _is_emitter(material: Material) -> bool:

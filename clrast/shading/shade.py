@@ -47,6 +47,7 @@ def channel_names(groups: tuple[str, ...]) -> list[str]:
 class Shader:
     """Shades bands. groups : output groups asked for; max_pixels : pixels of the largest band.
 
+    footprint : side of what a sample stands for, pixels, where textures are filtered.
     integrator : with features.secondary what rays that go on from hits are traced by; `color` is among the groups then.
     """
 
@@ -63,6 +64,8 @@ class Shader:
     ) -> None:
         self.device = device
         self.integrator = integrator
+        self.footprint = 1.0
+        self._filters = features.derivatives
         self.geometry = geometry
         self.surfaces = surfaces
         self.light_count = light_count
@@ -125,6 +128,7 @@ class Shader:
             visible_prims=visible_prims,
             **({} if places is None else {"places": places}),
             **self._hits,
+            **({"footprint": self.footprint} if self._filters else {}),
             values=self.values,
             ids=self.ids,
             open_pixels=self.open_pixels,

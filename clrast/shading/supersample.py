@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 
@@ -31,6 +32,7 @@ class Supersampler:
         max_pixels: int,
         layers: Layers | None,
     ) -> None:
+        shader.footprint = 1.0 / math.sqrt(len(pattern))
         self.device, self.pattern, self.shader, self.layers = device, pattern, shader, layers
         self.counts: dict[str, int] = {}
         self.reach = reach_of(filter_name)
