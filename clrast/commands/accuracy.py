@@ -1,4 +1,4 @@
-"""`clrast accuracy`: error against time for every knob, the Pareto front, and what to take within a time or an error."""
+"""`clrast accuracy`: error against time for every knob, the Pareto front, and what to take when time is short."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 OPTIONS = (
     "size", "precision", "aa", "shading_rate", "filter", "evaluation", "samples", "seed", "max_depth", "quality",
-    "method", "oracle", "accelerator", "grid_resolution", "mode", "effects", "device", "threads",
+    "method", "oracle", "accelerator", "grid_resolution", "mode", "effects", "half", "device", "threads",
 )  # fmt: skip
 """Options of a render that this command takes: they are the default setting, from which each knob is turned alone."""
 DEFAULT_SIZE = (512, 512)
@@ -63,13 +63,13 @@ ReferenceSamples = Annotated[
 Budget = Annotated[
     p.Texts,
     typer.Option("--budget", metavar="S", rich_help_panel=PANEL, show_default=False,
-                 help="Seconds of measured frames; more of them tell closer settings apart [default: 90]."),
+                 help="Seconds of measured frames; more of them tell closer settings apart [default: 60]."),
 ]  # fmt: skip
 NoCache = Annotated[
     bool, typer.Option("--no-cache", rich_help_panel=PANEL, help="Render the reference anew, and do not keep it.")
 ]
 NoCheck = Annotated[
-    bool, typer.Option("--no-check", rich_help_panel=PANEL, help="Do not run the commands that --time and --error give.")
+    bool, typer.Option("--no-check", rich_help_panel=PANEL, help="Do not run what --time and --error give.")
 ]
 Output = Annotated[
     p.Texts,
@@ -144,6 +144,7 @@ def accuracy_command(
     grid_resolution: p.GridResolution = None,
     mode: p.Mode = None,
     effects: p.Effects = None,
+    half: p.Half = False,
     output: Output = None,
     html: Html = None,
     page_side: PageSide = None,
@@ -190,7 +191,7 @@ def make_plan(values: Mapping[str, Any]) -> Plan:
     from clrast.study.accuracy_knobs import REFERENCE_SAMPLES
 
     single = {name: once(name, texts) for name, texts in values.items()}
-    given = {name: single[name] for name in OPTIONS if single.get(name) is not None}
+    given = {name: single[name] for name in OPTIONS if single.get(name) not in (None, False)}
     make_options(given, whole=False)
     typed_view = {name: single[name] for name in VIEW_NAMES if single[name] is not None}
     metric = check_choice("--metric", single["metric"] or DEFAULT_METRIC, METRICS)

@@ -18,7 +18,8 @@ WIDE_SPREAD = 1.5
 """Ratio of the 90th to the 10th percentile from which on a time says little."""
 COLUMNS = (
     Column(""), Column("setting", wide=True), Column("ms"), Column("p10-p90"), Column("frames"), Column("relative"),
-    Column("rmse"), Column("relative MSE"), Column("FLIP"), Column("worst"), Column("at pixel"), Column("wrong samples"),
+    Column("rmse"), Column("relative MSE"), Column("FLIP"), Column("worst"), Column("at pixel"),
+    Column("wrong samples"),
 )  # fmt: skip
 
 

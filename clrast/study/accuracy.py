@@ -35,7 +35,7 @@ from clrast.study.accuracy_runs import LONG_PART, JobPool, Show, choose_method, 
 from clrast.visibility.methods import AUTO
 from clrast.visibility.sample_patterns import parse_antialiasing
 
-DEFAULT_BUDGET = 90.0
+DEFAULT_BUDGET = 60.0
 """Seconds of measured frames."""
 TIME_OF_FRAME = "setup, bin, visibility, shade, resolve and reading the channels back"
 
@@ -281,6 +281,10 @@ def _ran_before(chosen: list[Setting]) -> list[str]:
 _KERNELS_OF = {"none": "none", "ssaa": "ssaa:2", "msaa": "msaa:2", "csaa": "csaa:1+1", "auto": "auto:1.0"}
 
 
+PLAIN: dict[str, Any] = {"aa": "none", "filter": "box", "shading_rate": "pixel", "samples": 1, "half": False}
+"""What decides nothing at the pixels' centres."""
+
+
 def _count_wrong(pool: JobPool, chosen: list[Setting], show: Show) -> dict[str, int]:
     """Samples at the pixels' centres that show another triangle than exact arithmetic does; no AA changes them."""
     found: list[tuple[RenderOptions, np.ndarray]] = []
@@ -298,9 +302,7 @@ def _count_wrong(pool: JobPool, chosen: list[Setting], show: Show) -> dict[str, 
 
     wrong: dict[str, int] = {}
     for setting in chosen:
-        plain = replace(setting.options, aov=("id",), aa="none", filter="box", shading_rate="pixel", samples=1)
-        if hasattr(plain, "half"):
-            plain = replace(plain, half=False)
+        plain = replace(setting.options, aov=("id",), **PLAIN)
         exact = prims(replace(plain, precision="exact", evaluation="direct"))
         wrong[setting.name] = int(np.count_nonzero(prims(plain) != exact))
     return wrong

@@ -1,8 +1,8 @@
 """The two questions of a user with a deadline: the best within a time, and the cheapest for an error.
 
 A time is that of the whole command as somebody waits for it (starting the program, loading, building, one frame,
-writing), or of a frame alone, as in an animation or a service. What comes with every command is measured by running one,
-and what is answered is run as printed before it is claimed.
+writing), or of a frame alone, as in an animation or a service. What comes with every command is measured by running
+one, and what is answered is run as printed before it is claimed.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ Runner = Callable[[Row], Run]
 
 @dataclass(frozen=True)
 class Answer:
-    """What to take. asked : `time` or `error`. of : which time is meant. reached : whether anything does what was asked;
-    else `row` is the nearest. predicted_s : of the command, None where none was run. runs : of the printed command.
+    """What to take. asked : `time` or `error`. of : which time is meant. reached : whether anything does what was
+    asked; else `row` is the nearest. predicted_s : of the command, None where none was run. runs : of the printed one.
     """
 
     asked: str

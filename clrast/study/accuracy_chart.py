@@ -95,5 +95,7 @@ def _point(
 
 def _legend(study: Accuracy) -> str:
     knobs = dict.fromkeys(row.setting.knob for row in study.rows)
-    marks = (f'<span class="key" style="--color:{style_of(study, knob)[0]}">{html.escape(knob)}</span>' for knob in knobs)
+    marks = [
+        f'<span class="key" style="--color:{style_of(study, knob)[0]}">{html.escape(knob)}</span>' for knob in knobs
+    ]
     return f'<p class="legend">{" ".join(marks)} <span>filled: on the Pareto front</span></p>'

@@ -66,8 +66,9 @@ KNOBS = (
     Knob("grid", _values("grid_resolution", 32, 64, 128, method="raycast-grid")),
 )  # fmt: skip
 
-COMBINATIONS: tuple[Changes, ...] = tuple(
-    {"precision": precision, "aa": aa} for aa in ("msaa:8", "ssaa:16", "ssaa:64") for precision in ("fast", "exact")
+COMBINATIONS: tuple[Changes, ...] = (
+    *({"precision": rung, "aa": aa} for aa in ("msaa:8", "ssaa:16") for rung in ("fast", "exact")),
+    {"precision": "exact", "aa": "ssaa:64"},
 )
 
 
@@ -136,7 +137,7 @@ def _add(
     except UsageError as fault:
         refused[name] = str(fault)
         return
-    differing = {option: value for option, value in changes.items() if getattr(options, option) != getattr(base, option)}
+    differing = {o: value for o, value in changes.items() if getattr(options, o) != getattr(base, o)}
     if all(options != each.options for each in chosen):
         chosen.append(Setting(name_of(differing), knob.name, differing, options))
 

@@ -28,7 +28,7 @@ FEWEST_ROUNDS, MOST_ROUNDS = 7, 40
 SHARE_OF_UNCLEAR = 4
 """A setting whose place is not clear may take so many times its share of the budget."""
 LONG_PART = 30
-"""A warm-up frame that took this part of the budget or more counts as a measured one, where nothing was compiled."""
+"""A warm-up frame that took such a part of the budget counts as a measured one, where nothing was compiled in it."""
 POOL_SHARE = 0.25
 """Part of the device's memory that jobs may keep between their turns."""
 
@@ -80,7 +80,7 @@ class JobPool:
         """(H, W, 3) float32, linear, premultiplied: the last frame as its file holds it."""
         _, channels = self._job(name)
         rgb = np.stack([channels[axis] for axis in "RGB"], axis=-1)
-        if not getattr(self._options[name], "half", False):
+        if not self._options[name].half:
             return rgb
         with np.errstate(over="ignore"):  # beyond 65504 a half is infinite
             return rgb.astype(np.float16).astype(np.float32)
@@ -131,9 +131,9 @@ def measure_rounds(
 ) -> dict[str, dict[int, float]]:
     """Milliseconds of frames by name and round, all in turn in an order that is drawn for the round.
 
-    warm_ms : of the frames before, which count for those that are `long`. unclear : names whose places the times so far leave open. Cheap settings render
-    FEWEST_ROUNDS frames; those that are unclear go on while their share and the budget last. Slow ones stop when their
-    share is used up; each has one frame at least. The clock gives seconds.
+    warm_ms : of the frames before, which count for those that are `long`. unclear : names whose places the times so
+    far leave open. Cheap settings render FEWEST_ROUNDS frames; those that are unclear go on while their share and the
+    budget last. Slow ones stop when their share is used up; each has one frame at least. The clock gives seconds.
     """
     names = list(warm_ms)
     share_ms = 1000 * budget_s / len(names)
