@@ -18,7 +18,8 @@ from clrast.commands.stats import to_json
 from clrast.commands.viewpoint import VIEW_NAMES, View, make_view
 from clrast.errors import EXIT_OK, UsageError
 from clrast.image.files import check_writable
-from clrast.options import check_choice, did_you_mean, make_options, parse_count, parse_number
+from clrast.options import check_choice, did_you_mean, listed, make_options, parse_count, parse_number
+from clrast.study.accuracy_knobs import KNOB_NAMES
 
 if TYPE_CHECKING:
     from clrast.study.accuracy import Accuracy
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
 
 OPTIONS = (
     "size", "precision", "aa", "shading_rate", "filter", "evaluation", "samples", "seed", "max_depth", "quality",
-    "method", "oracle", "accelerator", "grid_resolution", "mode", "effects", "half", "device", "threads",
+    "method", "oracle", "intersection", "accelerator", "grid_resolution", "mode", "effects", "half", "device",
+    "threads",
 )  # fmt: skip
 """Options of a render that this command takes: they are the default setting, from which each knob is turned alone."""
 DEFAULT_SIZE = (512, 512)
@@ -54,6 +56,11 @@ Metric = Annotated[
     p.Texts,
     typer.Option("--metric", metavar="NAME", rich_help_panel=PANEL, show_default=False,
                  help="Of the front and of --error: rmse [default], mse, relative-mse, flip or worst."),
+]  # fmt: skip
+Knobs = Annotated[
+    p.Texts,
+    typer.Option("--knobs", metavar="LIST", rich_help_panel=PANEL, show_default=False,
+                 help=f"Comma list of {listed(KNOB_NAMES)} [default: all]."),
 ]  # fmt: skip
 ReferenceSamples = Annotated[
     p.Texts,
@@ -101,6 +108,7 @@ class Plan:
     time_of: str
     error: float | None
     metric: str
+    knobs: tuple[str, ...]
     reference_samples: int
     budget_s: float
     use_cache: bool
@@ -117,6 +125,7 @@ def accuracy_command(
     time_of: TimeOf = None,
     error: Error = None,
     metric: Metric = None,
+    knobs: Knobs = None,
     reference_samples: ReferenceSamples = None,
     budget: Budget = None,
     no_cache: NoCache = False,
@@ -140,6 +149,7 @@ def accuracy_command(
     quality: p.Quality = None,
     method: p.Method = None,
     oracle: p.Oracle = None,
+    intersection: p.Intersection = None,
     accelerator: p.Accelerator = None,
     grid_resolution: p.GridResolution = None,
     mode: p.Mode = None,
@@ -190,7 +200,7 @@ def make_plan(values: Mapping[str, Any]) -> Plan:
     from clrast.study.accuracy_errors import DEFAULT_METRIC, METRICS, check_metric
     from clrast.study.accuracy_knobs import REFERENCE_SAMPLES
 
-    single = {name: once(name, texts) for name, texts in values.items()}
+    single = {name: once(name, texts) for name, texts in values.items() if name != "knobs"}
     given = {name: single[name] for name in OPTIONS if single.get(name) not in (None, False)}
     make_options(given, whole=False)
     typed_view = {name: single[name] for name in VIEW_NAMES if single[name] is not None}
@@ -208,12 +218,20 @@ def make_plan(values: Mapping[str, Any]) -> Plan:
     outputs = _check_outputs([*(single["output"] or ()), *([single["html"]] if single["html"] else ())], single)
     return Plan(
         single["input"], given, make_view({name: single[name] for name in VIEW_NAMES}), typed_view,
-        positive("time", "seconds"), time_of, positive("error", "a number"), metric,
+        positive("time", "seconds"), time_of, positive("error", "a number"), metric, _knobs(values["knobs"]),
         REFERENCE_SAMPLES if samples is None else parse_count("--reference-samples", samples, 4, REFERENCE_SAMPLES),
         positive("budget", "seconds", DEFAULT_BUDGET) or DEFAULT_BUDGET,
         not single["no_cache"], not single["no_check"], outputs,
         None if side is None else parse_count("--page-side", side, 16, 4096), single["json"], single["quiet"],
     )  # fmt: skip
+
+
+def _knobs(texts: Sequence[str] | None) -> tuple[str, ...]:
+    """The names in comma lists, in the order of the table; all where none is given."""
+    wanted = [name.strip() for text in texts or () for name in text.split(",")]
+    for name in wanted:
+        check_choice("--knobs", name, KNOB_NAMES)
+    return tuple(name for name in KNOB_NAMES if name in wanted or not wanted)
 
 
 def _check_outputs(paths: Sequence[str], single: Mapping[str, Any]) -> tuple[str, ...]:
@@ -262,7 +280,8 @@ def _measure(plan: Plan, show: Callable[[str], None], notes: list[str]) -> tuple
         pictures = Pictures(plan.page_side)
     study = study_accuracy(
         scene, request.camera, request.options, metric=plan.metric, reference_samples=plan.reference_samples,
-        budget_s=plan.budget_s, use_cache=plan.use_cache, keep=pictures.add if pictures else None, show=show,
+        knobs=plan.knobs, budget_s=plan.budget_s, use_cache=plan.use_cache,
+        keep=pictures.add if pictures else None, show=show,
     )  # fmt: skip
     return study, pictures
 

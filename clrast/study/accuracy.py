@@ -8,7 +8,7 @@ another triangle than exact arithmetic does. Times come from rounds in which all
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,10 +23,11 @@ from clrast.scene.model import Camera, Scene
 from clrast.shading.effects import plan_effects
 from clrast.study import accuracy_cache as cache
 from clrast.study.accuracy_errors import DEFAULT_METRIC, METRICS, Errors, has_flip, measure_errors
-from clrast.study.accuracy_front import Point, pareto_front, unclear_names
+from clrast.study.accuracy_front import LEAST_NOISE, Point, noise_of, pareto_front, unclear_names
 from clrast.study.accuracy_knobs import (
     CONVERGENCE,
     DEFAULT,
+    KNOB_NAMES,
     REFERENCE_SAMPLES,
     Setting,
     make_settings,
@@ -68,8 +69,8 @@ class Row:
     def median_ms(self) -> float:
         return self.percentile(50)
 
-    def point(self, metric: str) -> Point:
-        return Point(self.name, self.errors.value(metric), self.times_ms, len(self.setting.changes))
+    def point(self, metric: str, noise: float = LEAST_NOISE) -> Point:
+        return Point(self.name, self.errors.value(metric), self.times_ms, len(self.setting.changes), noise)
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,16 @@ class Accuracy:
     @property
     def front(self) -> tuple[Row, ...]:
         """The rows worth their time, fastest first."""
-        return tuple(self.row(point.name) for point in pareto_front([row.point(self.metric) for row in self.rows]))
+        return tuple(self.row(point.name) for point in pareto_front([self.point(row) for row in self.rows]))
+
+    @property
+    def noise(self) -> float:
+        """How far a single ratio of two times may be off in this run."""
+        return noise_of(row.times_ms for row in self.rows)
+
+    def point(self, row: Row) -> Point:
+        """A row as the front sees it."""
+        return row.point(self.metric, self.noise)
 
     def relative(self, row: Row) -> float:
         """A row's time over the default's: the median ratio of the rounds that have both."""
@@ -136,6 +146,7 @@ class Accuracy:
             "metric": self.metric,
             "time_of_a_frame": TIME_OF_FRAME,
             "budget_s": self.budget_s,
+            "noise": self.noise,
             "reference": {
                 "precision": options.precision, "aa": options.aa, "cached": self.reference.cached,
                 "seconds": self.reference.seconds, "own_rmse": self.reference.own_rmse,
@@ -171,15 +182,19 @@ def study_accuracy(
     *,
     metric: str = DEFAULT_METRIC,
     reference_samples: int = REFERENCE_SAMPLES,
+    knobs: Sequence[str] = KNOB_NAMES,
     budget_s: float = DEFAULT_BUDGET,
     use_cache: bool = True,
     keep: Keep | None = None,
     show: Show = lambda text: None,
 ) -> Accuracy:
-    """Measure every setting of a view of a scene. options : the default setting. keep : is shown each image."""
+    """Measure every setting of a view of a scene. options : the default setting. keep : is shown each image.
+
+    knobs : names of those to turn. budget_s : seconds of measured frames.
+    """
     options = replace(options, counters=False, repeat=0, aov=_with_color(options.aov))
     options.check_together()
-    settings = make_settings(options, reference_samples)
+    settings = make_settings(options, reference_samples, knobs)
     vectors = camera_vectors(camera, *options.size)
     device = open_device(options.device, options.threads)
     method = choose_method(device, scene, vectors, options)
@@ -195,9 +210,12 @@ def study_accuracy(
     wrong = _count_wrong(pool, chosen, show)
 
     def unclear(times: Mapping[str, Mapping[int, float]]) -> set[str]:
-        return unclear_names(
-            [Point(each.name, errors[each.name].value(metric), times[each.name], len(each.changes)) for each in chosen]
-        )
+        noise = noise_of(times.values())
+        points = [
+            Point(each.name, errors[each.name].value(metric), times[each.name], len(each.changes), noise)
+            for each in chosen
+        ]
+        return unclear_names(points)
 
     times = measure_rounds(pool, {each.name: warm[each.name] for each in chosen}, long, budget_s, unclear, show)
     rows = tuple(

@@ -111,8 +111,8 @@ class Advisor:
 
     def _simplest(self, row: Row, rows: Sequence[Row]) -> Row:
         """Of the rows that are level with `row` in time and error, the one that changes least."""
-        metric, own = self.study.metric, row.point(self.study.metric)
-        level = [each for each in rows if each is row or is_level(each.point(metric), own)]
+        own = self.study.point(row)
+        level = [each for each in rows if each is row or is_level(self.study.point(each), own)]
         return min(level, key=lambda each: len(each.setting.changes))
 
     def _answer(self, asked: str, value: float, of: str, reached: bool, row: Row) -> Answer:
@@ -127,23 +127,17 @@ class Advisor:
     def _overhead(self) -> float:
         """Seconds of a command without its frame, from those of the default."""
         if self._overhead_s is None:
-            if self._run is None:
-                self._overhead_s = 0.0
-            else:
-                self._run(self.study.default)  # the first one waits for what the driver still compiles
-                runs = [self._run(self.study.default) for _ in range(2)]
-                self._overhead_s = max(run.command_s - run.frame_ms / 1000 for run in runs)
+            runs = self._runs(self.study.default)
+            self._overhead_s = float(np.median([run.command_s - run.frame_ms / 1000 for run in runs])) if runs else 0.0
         return self._overhead_s
 
     def _runs(self, row: Row) -> tuple[Run, ...]:
         if self._run is None:
             return ()
         if row.name not in self._known:
-            first = self._run(row)
-            count = RUNS if first.command_s < LONG_RUN_S else 1
-            # The first of several only brings what is compiled once.
-            runs = [self._run(row) for _ in range(count)] if count > 1 else [first]
-            self._known[row.name] = tuple(runs)
+            first = self._run(row)  # waits for what the driver still compiles
+            is_long = first.command_s > LONG_RUN_S
+            self._known[row.name] = (first,) if is_long else tuple(self._run(row) for _ in range(RUNS))
         return self._known[row.name]
 
     @staticmethod

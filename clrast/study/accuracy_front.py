@@ -13,7 +13,7 @@ the front only if it beats all others by more than the noise, and the front stay
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,30 +23,53 @@ TIME_MARGIN = 0.05
 ERROR_MARGIN = 0.02
 """Likewise of errors, which are not noisy, but whose last digits nobody sees."""
 FEW = 6
-"""From so many pairs on the interval is one of 95 per cent; below, the extremes, widened."""
-ALONE = 0.12
-"""The interval of a single pair reaches as far, and that of N pairs of few an N-th of it beyond their extremes."""
+"""From so many pairs on the interval is one of 95 per cent; below, it is the extremes, widened by the noise."""
+LEAST_NOISE = 0.12
+"""The interval of a single pair reaches at least as far to both sides; see `noise_of`."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """A setting as the front sees it. times_ms : by round. change_count : options that it changes."""
+    """A setting as the front sees it. times_ms : by round. change_count : options that it changes.
+
+    noise : how far a single ratio of times may be off in this run, as `noise_of` finds it.
+    """
 
     name: str
     error: float
     times_ms: Mapping[int, float]
     change_count: int = 0
+    noise: float = LEAST_NOISE
 
     @property
     def median_ms(self) -> float:
         return float(np.median(list(self.times_ms.values())))
 
 
-def median_interval(values: Sequence[float]) -> tuple[float, float]:
-    """Bounds of the median of positive values: of 95 per cent by order statistics, wider where there are few."""
+def noise_of(times_ms: Iterable[Mapping[int, float]]) -> float:
+    """How far a single ratio of two times may be off: twice the standard deviation of its logarithm.
+
+    times_ms : of each setting, by round. It comes from the settings that have many frames, each time over the
+    setting's median and without what all of a round share; LEAST_NOISE where none has.
+    """
+    many = [found for found in times_ms if len(found) >= FEW - 1]
+    residuals: dict[int, list[float]] = {}
+    for found in many:
+        middle = float(np.median(list(found.values())))
+        for k, spent in found.items():
+            residuals.setdefault(k, []).append(math.log(spent / middle))
+    free = [value - float(np.median(all_of)) for all_of in residuals.values() for value in all_of if len(all_of) > 2]
+    return max(LEAST_NOISE, 2 * math.sqrt(2) * float(np.std(free)) if free else 0.0)
+
+
+def median_interval(values: Sequence[float], noise: float = LEAST_NOISE) -> tuple[float, float]:
+    """Bounds of the median of positive values: of 95 per cent by order statistics, wider where there are few.
+
+    The interval of a single value reaches as far as the noise, that of N of few an N-th of it beyond their extremes.
+    """
     ordered, count = sorted(values), len(values)
     if count < FEW:
-        widening = 1 + ALONE / count
+        widening = 1 + noise / count
         return ordered[0] / widening, ordered[-1] * widening
     # The median lies outside the k-th from both ends with the chance 2 P(fewer than k heads of `count` coins).
     k, tail = 0, 2.0**-count
@@ -59,10 +82,8 @@ def median_interval(values: Sequence[float]) -> tuple[float, float]:
 def time_ratio(a: Point, b: Point) -> tuple[float, float]:
     """Bounds of a's time over b's."""
     common = [k for k in a.times_ms if k in b.times_ms]
-    if not common:
-        ratio = a.median_ms / b.median_ms
-        return ratio / (1 + ALONE), ratio * (1 + ALONE)
-    return median_interval([a.times_ms[k] / b.times_ms[k] for k in common])
+    ratios = [a.times_ms[k] / b.times_ms[k] for k in common] or [a.median_ms / b.median_ms]
+    return median_interval(ratios, max(a.noise, b.noise))
 
 
 def is_faster(a: Point, b: Point) -> bool:

@@ -19,6 +19,8 @@ Changes = Mapping[str, Any]
 
 DEFAULT = "default"
 """Name of the setting that changes nothing."""
+COMBINATION = "combination"
+"""Stands for the knob of settings that turn several."""
 REFERENCE_SAMPLES = 1024
 REFERENCE_RATIO = 4
 """A supersampled setting has at most this part of the reference's samples: its own are among those of the reference."""
@@ -72,9 +74,12 @@ COMBINATIONS: tuple[Changes, ...] = (
 )
 
 
+KNOB_NAMES = (*(knob.name for knob in KNOBS), COMBINATION)
+
+
 @dataclass(frozen=True)
 class Setting:
-    """One point of the curve. knob : its row, `combination`, or DEFAULT. changes : what differs from the default."""
+    """One point of the curve. knob : its row, COMBINATION, or DEFAULT. changes : what differs from the default."""
 
     name: str
     knob: str
@@ -94,20 +99,24 @@ class Settings:
 def make_settings(
     base: RenderOptions,
     reference_samples: int = REFERENCE_SAMPLES,
+    names: Sequence[str] = KNOB_NAMES,
     knobs: Sequence[Knob] = KNOBS,
     combinations: Sequence[Changes] = COMBINATIONS,
 ) -> Settings:
-    """Each knob alone from `base`, then the combinations; and what the reference is rendered with."""
+    """Each knob alone from `base`, then the combinations; and what the reference is rendered with.
+
+    names : of the knobs to turn, of KNOB_NAMES; the reference takes its values of all.
+    """
     chosen = [Setting(DEFAULT, DEFAULT, {}, base)]
     left_out: dict[str, str] = {}
-    for knob in knobs:
+    for knob in (each for each in knobs if each.name in names):
         refused: dict[str, str] = {}
         for changes in knob.settings:
             _add(chosen, refused, base, knob, changes, reference_samples)
         whole = len(refused) == len(knob.settings) and len(set(map(_general, refused.values()))) == 1
         left_out.update({knob.name: next(iter(refused.values()))} if whole else refused)
-    for changes in combinations:
-        _add(chosen, left_out, base, Knob("combination", ()), changes, reference_samples)
+    for changes in combinations if COMBINATION in names else ():
+        _add(chosen, left_out, base, Knob(COMBINATION, ()), changes, reference_samples)
     return Settings(tuple(chosen), left_out, _reference(base, reference_samples, knobs))
 
 
