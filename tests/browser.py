@@ -8,12 +8,21 @@ import os
 import select
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "headless_shell")
+LAUNCH = """
+import fcntl, os, sys
+high = [fcntl.fcntl(int(text), fcntl.F_DUPFD, 64) for text in sys.argv[1:3]]
+os.dup2(high[0], 3)
+os.dup2(high[1], 4)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
+"""The browser reads commands from descriptor 3 and writes to 4."""
 PATIENCE = 60.0
 """Seconds that an answer may take."""
 
@@ -30,9 +39,8 @@ class Browser:
         self._profile = tempfile.TemporaryDirectory(prefix="clrast-browser-", ignore_cleanup_errors=True)
         to_read, self._write = os.pipe()
         self._read, to_write = os.pipe()
-        # The browser reads commands from descriptor 3 and writes to 4.
         words = [
-            "sh", "-c", f'exec "$@" 3<&{to_read} 4>&{to_write}', "sh", program, "--headless=new", "--no-sandbox",
+            sys.executable, "-c", LAUNCH, str(to_read), str(to_write), program, "--headless=new", "--no-sandbox",
             "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run", "--remote-debugging-pipe",
             f"--user-data-dir={self._profile.name}", f"--window-size={size[0]},{size[1]}", "about:blank",
         ]  # fmt: skip
@@ -98,6 +106,7 @@ class Browser:
 
     def open(self, path: Path) -> None:
         self.call("Page.navigate", url=path.resolve().as_uri())
+        self.wait_for("document.readyState === 'complete'")
 
     def evaluate(self, script: str) -> Any:
         """The value of an expression in the page; raises RuntimeError where it throws."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -113,12 +114,12 @@ class Accuracy:
         """The error of a row by the metric of the study."""
         return row.errors.value(self.metric)
 
-    @property
+    @cached_property
     def front(self) -> tuple[Row, ...]:
         """The rows worth their time, fastest first."""
         return tuple(self.row(point.name) for point in pareto_front([self.point(row) for row in self.rows]))
 
-    @property
+    @cached_property
     def noise(self) -> float:
         """How far a single ratio of two times may be off in this run."""
         return noise_of(row.times_ms for row in self.rows)

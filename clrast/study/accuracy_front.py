@@ -1,13 +1,14 @@
 """Which settings are worth their time: the Pareto front of measured times, whose noise is part of the measurement.
 
 Times of two settings are compared by the ratios of the rounds that have both, so that a machine that drifts drifts for
-both; an interval round their median says how sure that is. A setting dominates another
+both; an interval round their median says how sure that is. The front is walked from the most accurate setting on:
 
-    if its error is smaller (by more than ERROR_MARGIN) and it is not clearly slower, or
-    if it is clearly faster (by more than TIME_MARGIN) and its error is not larger.
+    settings whose errors are level (within ERROR_MARGIN) are one group
+    of a group those are left that are clearly faster (by more than TIME_MARGIN) than all that stand on the front
+    of these the fastest joins it; of such as are level in time that which changes the fewest options
 
-What is level with another in both is one point twice: the one that changes less stands for both. So a setting is on
-the front only if it beats all others by more than the noise, and the front stays when it is measured again.
+So a setting is on the front only if it beats all that are more accurate by more than the noise, and the front stays
+when it is measured again. A setting that noise hides drops out alone: it takes no clearly faster one with it.
 """
 
 from __future__ import annotations
@@ -91,22 +92,9 @@ def is_faster(a: Point, b: Point) -> bool:
     return time_ratio(a, b)[1] < 1 - TIME_MARGIN
 
 
-def is_unclear(a: Point, b: Point) -> bool:
-    """Whether more rounds could change how a's time compares with b's."""
-    low, high = time_ratio(a, b)
-    return low < 1 - TIME_MARGIN < high or low < 1 / (1 - TIME_MARGIN) < high
-
-
 def is_better(a: Point, b: Point) -> bool:
     """Whether a's error is smaller than b's by more than the margin."""
     return a.error < b.error * (1 - ERROR_MARGIN)
-
-
-def dominates(a: Point, b: Point) -> bool:
-    """Whether nobody would take b who can have a."""
-    if is_better(a, b):
-        return not is_faster(b, a)
-    return is_faster(a, b) and not is_better(b, a)
 
 
 def is_level(a: Point, b: Point) -> bool:
@@ -116,12 +104,18 @@ def is_level(a: Point, b: Point) -> bool:
 
 def pareto_front(points: Sequence[Point]) -> tuple[Point, ...]:
     """The points worth their time, fastest first; of level ones that with the fewest changes, then the earliest."""
-    left = [p for p in points if math.isfinite(p.error) and not any(dominates(q, p) for q in points if q is not p)]
+    left = sorted((p for p in points if math.isfinite(p.error)), key=lambda p: p.error)
     front: list[Point] = []
-    for point in sorted(left, key=lambda p: p.change_count):
-        if not any(is_level(point, kept) for kept in front):
-            front.append(point)
-    return tuple(sorted(front, key=lambda p: p.median_ms))
+    while left:
+        group = [p for p in left if not is_better(left[0], p)]
+        left = [p for p in left if is_better(group[0], p)]
+        # In the order in which they were given.
+        group = [p for p in points if any(p is each for each in group)]
+        faster = [p for p in group if all(is_faster(p, kept) for kept in front)]
+        fastest = [p for p in faster if not any(is_faster(q, p) for q in faster)] or faster
+        if fastest:
+            front.append(min(fastest, key=lambda p: p.change_count))
+    return tuple(reversed(front))
 
 
 def unclear_names(points: Sequence[Point]) -> set[str]:
@@ -129,20 +123,16 @@ def unclear_names(points: Sequence[Point]) -> set[str]:
     front = pareto_front(points)
     unclear: set[str] = set()
     for point in points:
-        out = any(q is not point and is_better(q, point) and is_faster(q, point) for q in front)
-        if out:
+        if any(is_better(kept, point) and is_faster(kept, point) for kept in front):
             continue
-        for other in front:
-            if other is not point and is_unclear(point, other) and not _is_settled(point, other):
-                unclear |= {point.name, other.name}
+        for kept in front:
+            if kept is not point and not is_better(point, kept) and _is_open(point, kept):
+                unclear |= {point.name, kept.name}
     return unclear
 
 
-def _is_settled(point: Point, other: Point) -> bool:
-    """Whether the unclear part of the ratio decides nothing: only who is slower matters to who is more accurate."""
-    low, high = time_ratio(point, other)
-    if is_better(point, other):
-        return not low < 1 / (1 - TIME_MARGIN) < high
-    if is_better(other, point):
-        return not low < 1 - TIME_MARGIN < high
-    return False
+def _is_open(point: Point, kept: Point) -> bool:
+    """Whether more rounds could change who of the two is on the front. kept : is no worse."""
+    low, high = time_ratio(point, kept)
+    is_open = low < 1 - TIME_MARGIN < high
+    return is_open or (not is_better(kept, point) and low < 1 / (1 - TIME_MARGIN) < high)
