@@ -452,6 +452,7 @@ def test_the_page_has_everything_inside() -> None:
     assert "@" not in re.sub(r"<script.*?</script>", "", text, flags=re.S)
     svg = ElementTree.fromstring(re.search(r"<svg.*?</svg>", text, re.S)[0])
     points = [each for each in svg.iter("g") if "point" in each.get("class", "").split()]
+    points.sort(key=lambda each: int(each.get("data-index")))
     assert [int(each.get("data-index")) for each in points] == list(range(len(TABLE.rows)))
     assert {TABLE.rows[int(each.get("data-index"))].name for each in points if "on-front" in each.get("class")} == set(
         FRONT

@@ -18,7 +18,7 @@ WIDE_SPREAD = 1.5
 """Ratio of the 90th to the 10th percentile from which on a time says little."""
 COLUMNS = (
     Column(""), Column("setting", wide=True), Column("ms"), Column("p10-p90"), Column("frames"), Column("relative"),
-    Column("rmse"), Column("relative MSE"), Column("FLIP"), Column("worst"), Column("at pixel"),
+    Column("rmse"), Column("MSE"), Column("rel. MSE"), Column("FLIP"), Column("worst"), Column("at pixel"),
     Column("wrong samples"),
 )  # fmt: skip
 
@@ -66,6 +66,7 @@ def _cells(study: Accuracy, row: Row, is_on_front: bool) -> tuple[str, ...]:
         str(len(row.times_ms)),
         f"{study.relative(row):.2f}",
         number(errors.rmse),
+        number(errors.mse),
         number(errors.relative_mse),
         NOTHING if errors.flip is None else number(errors.flip),
         number(errors.worst),

@@ -48,10 +48,9 @@ def chart(study: Accuracy) -> str:
     parts.append(f'<text class="title" transform="translate(14 {HEIGHT / 2}) rotate(-90)">{label}</text>')
     parts.append(_front_line(study, x_axis, y_axis, floor))
     front = {row.name for row in study.front}
-    for index, row in enumerate(study.rows):
-        if row in rows:
-            place = (x_axis.place(row.median_ms / 1000), y_axis.place(max(study.error(row), floor)))
-            parts.append(_point(study, row, index, place, x_axis, row.name in front))
+    for row in sorted(rows, key=lambda each: each.name in front):  # those of the front above the others
+        place = (x_axis.place(row.median_ms / 1000), y_axis.place(max(study.error(row), floor)))
+        parts.append(_point(study, row, study.rows.index(row), place, x_axis, row.name in front))
     parts.append("</svg>")
     return "\n".join([*parts, _legend(study)])
 
