@@ -229,6 +229,19 @@ def test_the_default_is_what_the_user_gives() -> None:
     assert [each.name for each in only.chosen] == ["default", "half"]
 
 
+def test_paths_are_counted_as_samples() -> None:
+    """In mode path the reference has one path for each of 1024 samples, and a default of 16 is no setting twice."""
+    settings = make_settings(replace(BASE, mode="path"))
+    assert (settings.reference.aa, settings.reference.samples) == ("ssaa:1024", 1)
+    assert settings.reference.max_depth == 16
+    names_of = {each.name for each in settings.chosen}
+    assert {"samples 1", "samples 4", "samples 64", "samples 256", "max-depth 4", "aa ssaa:16"} <= names_of
+    assert not {"samples 16", "max-depth 8", "aa ssaa:64"} & names_of
+    assert "needs a reference of 4096 samples" in settings.left_out["aa ssaa:64"]
+    whitted = make_settings(replace(BASE, mode="whitted"))
+    assert "samples" in whitted.left_out and "max-depth 2" in {each.name for each in whitted.chosen}
+
+
 def test_rungs_of_other_methods_are_left_out() -> None:
     settings = make_settings(replace(BASE, method="3dr-full"))
     assert "3dr-full projects none" in settings.left_out["precision fixed"]

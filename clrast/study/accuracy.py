@@ -27,11 +27,14 @@ from clrast.study.accuracy_errors import DEFAULT_METRIC, METRICS, Errors, has_fl
 from clrast.study.accuracy_front import LEAST_NOISE, Point, noise_of, pareto_front, unclear_names
 from clrast.study.accuracy_knobs import (
     CONVERGENCE,
+    CONVERGENCE_OF_PATHS,
     DEFAULT,
     KNOB_NAMES,
+    PATH,
     REFERENCE_SAMPLES,
     Setting,
     make_settings,
+    sample_count,
 )
 from clrast.study.accuracy_runs import LONG_PART, JobPool, Show, choose_method, measure_rounds
 from clrast.visibility.methods import AUTO
@@ -242,11 +245,11 @@ def _reference(
     device: Device, scene: Scene, vectors: CameraVectors, options: RenderOptions, *, use_cache: bool, show: Show
 ) -> Reference:
     """Rendered, or as an earlier run left it."""
-    effects = [effect.name for effect in plan_effects(scene, options.aov, options.effects).effects if effect.on]
-    header = resolved_header(options, vectors.named(), effects, vectors.projection)
-    decided = {**header, "filter": options.filter, "seed": options.seed, "samples": options.samples,
-               "max_depth": options.max_depth, "effect_options": sorted(options.effects.items())}  # fmt: skip
-    key = cache.reference_key(scene, decided) if use_cache else ""
+    plan = plan_effects(scene, options.aov, options.effects, options.mode)
+    effects = [effect.name for effect in plan.effects if effect.on]
+    key = ""
+    if use_cache:
+        key = cache.reference_key(scene, resolved_header(options, vectors.named(), effects, vectors.projection))
     width, height = options.size
     if use_cache:
         kept = cache.load_reference(key, (height, width, 3))
@@ -300,7 +303,7 @@ def _ran_before(chosen: list[Setting]) -> list[str]:
 _KERNELS_OF = {"none": "none", "ssaa": "ssaa:2", "msaa": "msaa:2", "csaa": "csaa:1+1", "auto": "auto:1.0"}
 
 
-PLAIN: dict[str, Any] = {"aa": "none", "filter": "box", "shading_rate": "pixel", "samples": 1, "half": False}
+PLAIN: dict[str, Any] = {"aa": "none", "filter": "box", "shading_rate": "pixel", "half": False}
 """What decides nothing at the pixels' centres."""
 
 
@@ -329,15 +332,15 @@ def _count_wrong(pool: JobPool, chosen: list[Setting], show: Show) -> dict[str, 
 
 def _own_rmse(rows: tuple[Row, ...], reference_samples: int) -> float | None:
     """The reference's own error, from that of the finest supersampled setting."""
-    found: list[tuple[int, float]] = []
-    for row in rows:
-        wanted = parse_antialiasing("--aa", row.setting.options.aa)
-        if wanted.kind == "ssaa":
-            found.append((len(wanted.pattern), row.errors.rmse))
+    found = [
+        (sample_count(row.setting.options), row.errors.rmse, row.setting.options.mode)
+        for row in rows
+        if row.setting.options.aa.startswith("ssaa")
+    ]
     if not found:
         return None
-    samples, rmse = max(found)
-    return rmse * (samples / reference_samples) ** CONVERGENCE
+    samples, rmse, mode = max(found)
+    return rmse * (samples / reference_samples) ** (CONVERGENCE_OF_PATHS if mode == PATH else CONVERGENCE)
 
 
 __all__ = ["METRICS", "Accuracy", "Reference", "Row", "study_accuracy"]

@@ -7,7 +7,6 @@ the zip file inside); one that is damaged counts as absent. No fault of the cach
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import os
 import tempfile
@@ -20,45 +19,17 @@ import numpy as np
 
 from clrast.opencl.binaries import cache_folder
 from clrast.opencl.kernels import kernel_folder
+from clrast.scene.content import content_digest
 from clrast.scene.model import Scene
 
 FOLDER = "references"
 MOST_FILES = 20
 """Files in the folder, the last used; one of 512x512 pixels takes 3 MB."""
-IGNORED = ("name", "warnings", "cameras", "render_options", "image_size")
-"""Fields of a scene that decide no pixel once the view and the options are chosen."""
 
 
 def reference_key(scene: Scene, decided: Mapping[str, Any]) -> str:
     """40 hexadecimal digits. decided : what an image's header says of options and view."""
-    digest = hashlib.sha256(_program_digest().encode())
-    for field in dataclasses.fields(scene):
-        if field.name not in IGNORED:
-            _add(digest, field.name)
-            _add(digest, getattr(scene, field.name))
-    _add(digest, dict(decided))
-    return digest.hexdigest()[:40]
-
-
-def _add(digest: Any, value: Any) -> None:
-    """Feed a value whole: its type, its length and its parts."""
-    digest.update(f"{type(value).__name__}:".encode())
-    if isinstance(value, np.ndarray):
-        digest.update(f"{value.dtype.str}{value.shape}".encode())
-        digest.update(np.ascontiguousarray(value).tobytes())
-    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-        for field in dataclasses.fields(value):
-            _add(digest, field.name)
-            _add(digest, getattr(value, field.name))
-    elif isinstance(value, Mapping):
-        _add(digest, tuple(value.items()))
-    elif isinstance(value, (list, tuple)):
-        digest.update(f"{len(value)}:".encode())
-        for member in value:
-            _add(digest, member)
-    else:
-        text = repr(value).encode()
-        digest.update(f"{len(text)}:".encode() + text)
+    return content_digest(scene, _program_digest(), dict(decided))
 
 
 def _program_digest() -> str:

@@ -23,9 +23,13 @@ COMBINATION = "combination"
 """Stands for the knob of settings that turn several."""
 REFERENCE_SAMPLES = 1024
 REFERENCE_RATIO = 4
-"""A supersampled setting has at most this part of the reference's samples: its own are among those of the reference."""
+"""The reference has so many times the samples of a setting at least, as those of ssaa are among its own."""
 CONVERGENCE = 0.75
 """The error of N samples falls with N to this power: edges in a stratified pattern."""
+CONVERGENCE_OF_PATHS = 0.5
+"""Likewise of N random paths."""
+PATH = "path"
+"""The mode in which `--samples` counts the paths of each shaded sample."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +49,6 @@ def _values(option: str, *values: Any, **more: Any) -> tuple[Changes, ...]:
     return tuple({option: value, **more} for value in values)
 
 
-SECONDARY = ("shadow", "whitted", "path")
-
 KNOBS = (
     Knob(
         "precision",
@@ -63,8 +65,8 @@ KNOBS = (
         {"aa": f"ssaa:{REFERENCE_SAMPLES}"},
     ),
     Knob("output", _values("half", False, True), {"half": False}),
-    Knob("samples", _values("samples", 1, 4, 16, 64), modes=SECONDARY),
-    Knob("depth", _values("max_depth", 1, 2, 4, 8), {"max_depth": 16}, modes=("whitted", "path")),
+    Knob("samples", _values("samples", 1, 4, 16, 64, 256), {"samples": 1}, modes=(PATH,)),  # with many by its aa
+    Knob("depth", _values("max_depth", 1, 2, 4, 8), {"max_depth": 16}, modes=("whitted", PATH)),
     Knob("grid", _values("grid_resolution", 32, 64, 128, method="raycast-grid")),
 )  # fmt: skip
 
@@ -147,8 +149,20 @@ def _add(
         refused[name] = str(fault)
         return
     differing = {o: value for o, value in changes.items() if getattr(options, o) != getattr(base, o)}
-    if all(options != each.options for each in chosen):
+    if all(_resolved(options) != _resolved(each.options) for each in chosen):
         chosen.append(Setting(name_of(differing), knob.name, differing, options))
+
+
+def _resolved(options: RenderOptions) -> RenderOptions:
+    """The options with numbers for what was left open: to name a default changes nothing."""
+    return replace(options, samples=options.path_count, max_depth=options.depth)
+
+
+def sample_count(options: RenderOptions) -> int:
+    """Samples of a pixel that are shaded each by itself; in mode `path` the paths of all of them."""
+    wanted = parse_antialiasing("--aa", options.aa)
+    samples = len(wanted.pattern) if wanted.kind in ("ssaa", "auto") else 1
+    return samples * options.path_count if options.mode == PATH else samples
 
 
 def apply(base: RenderOptions, changes: Changes) -> RenderOptions:
@@ -162,10 +176,12 @@ def apply(base: RenderOptions, changes: Changes) -> RenderOptions:
 
 
 def _check_samples(options: RenderOptions, reference_samples: int) -> None:
-    wanted = parse_antialiasing("--aa", options.aa)
-    if wanted.kind == "ssaa" and REFERENCE_RATIO * len(wanted.pattern) > reference_samples:
-        needed = REFERENCE_RATIO * len(wanted.pattern)
-        raise UsageError(f"needs a reference of {needed} samples: give --reference-samples {needed}")
+    """Raises UsageError where the reference would be hardly better; `auto` takes its most samples at few pixels."""
+    needed = REFERENCE_RATIO * sample_count(options)
+    if needed > reference_samples and (options.mode == PATH or not options.aa.startswith("auto")):
+        is_possible = needed <= REFERENCE_SAMPLES
+        mend = f"give --reference-samples {needed}" if is_possible else f"at most {REFERENCE_SAMPLES} are to be had"
+        raise UsageError(f"needs a reference of {needed} samples: {mend}")
 
 
 def _reference(base: RenderOptions, samples: int, knobs: Sequence[Knob]) -> RenderOptions:

@@ -99,7 +99,8 @@ class JobPool:
             return self._jobs[name]
         device, scene, vectors = self._inputs
         options = self._options[name]
-        job = RenderJob(device, scene, vectors, options, plan_effects(scene, options.aov, options.effects))
+        plan = plan_effects(scene, options.aov, options.effects, options.mode)
+        job = RenderJob(device, scene, vectors, options, plan)
         while self._jobs and job.bytes_device() + sum(j.bytes_device() for j, _ in self._jobs.values()) > self._budget:
             self.drop(next(iter(self._jobs)))
         self._jobs[name] = (job, job.allocate())
@@ -110,7 +111,7 @@ def choose_method(device: Device, scene: Scene, vectors: CameraVectors, options:
     """The method of all settings: the one named, or what `auto` takes for the default."""
     if options.method != AUTO:
         return options.method
-    plan = plan_effects(scene, options.aov, options.effects)
+    plan = plan_effects(scene, options.aov, options.effects, options.mode)
     job = start_job(device, scene, vectors, replace(options, precision=_spatial(options.precision)), plan)
     return job.method.name
 
