@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from clrast.errors import UsageError
+from clrast.quality import PRESETS, with_preset
 from clrast.visibility.methods import AUTO, SNAPPED_METHODS, resolve_method
 from clrast.visibility.methods import METHODS as METHOD_TABLE
 from clrast.visibility.oracles import parse_oracle
@@ -28,7 +29,7 @@ METHODS = (*AVAILABLE_METHODS[:-1], "raycast-grid", "raycast-grid-multipass", AV
 MODES = ("cast", "shadow", "whitted", "path")
 PROJECTIONS = ("perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube")
 AVAILABLE_PROJECTIONS = ("perspective", "orthographic")
-QUALITIES = ("preview", "draft", "final")
+QUALITIES = tuple(PRESETS)
 AOV_GROUPS = ("color", "depth", "distance", "normal", "position", "bary", "uv", "albedo", "ray", "id", "cost")
 AVAILABLE_AOV_GROUPS = AOV_GROUPS
 EFFECTS = (
@@ -241,18 +242,13 @@ def _refused(mend: str) -> Callable[[str, Any], Any]:
     return refuse
 
 
-def _parse_quality(option: str, value: Any) -> Any:
-    check_choice(option, value, QUALITIES)
-    raise UnavailableError(f"{option} {value} is not available in this version; use --precision")
-
-
 def _text(option: str, value: Any) -> str:
     if not isinstance(value, str) or not value:
         raise UsageError(f"{option} {value!r} is empty or no text: leave it out for the default")
     return value
 
 
-def _parse_counters(option: str, value: Any) -> bool:
+def _parse_switch(option: str, value: Any) -> bool:
     if not isinstance(value, bool):
         raise UsageError(f"{option} {value!r} is unknown: use True or False")
     return value
@@ -269,7 +265,8 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "mode": _choice(MODES),
     "aov": parse_aov,
     "effects": parse_effects,
-    "counters": _parse_counters,
+    "counters": _parse_switch,
+    "half": _parse_switch,
     "device": _text,
     "threads": _count(1, 4096),
     "memory": parse_memory,
@@ -284,7 +281,7 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "accelerator": _choice(("auto", "grid", "bvh"), ("auto", "bvh")),
     "oracle": _parse_oracle,
     "max_depth": _count(0, MAX_DEPTH),
-    "quality": _parse_quality,
+    "quality": _choice(QUALITIES),
     "grid_resolution": _refused("leave it out, as no method here uses a grid"),
     "time_budget": _parse_budget,
     "resume": _text,
@@ -299,6 +296,8 @@ class RenderOptions:
 
     size : (width, height) pixels. aov : groups of AOV_GROUPS, in that order, without repeats.
     effects : effect name (with spaces) -> "on" | "off" | "auto"; an effect that is absent is "auto".
+    half : float channels of EXR files as 16-bit floats. quality : of PRESETS; it fills what has its default value here,
+    and is then None: make_options also knows which options were given.
     device, threads, memory (bytes), repeat : of the machine; they decide no pixel.
     """
 
@@ -323,6 +322,7 @@ class RenderOptions:
     accelerator: str = "auto"
     oracle: tuple[str, ...] = ()
     max_depth: int | None = None
+    half: bool = False
     quality: str | None = None
     grid_resolution: int | None = None
     time_budget: float | None = None
@@ -336,6 +336,12 @@ class RenderOptions:
                 object.__setattr__(self, each.name, parsed)
             elif each.default is not None:
                 raise UsageError(f"--{each.name.replace('_', '-')} has no value: leave it out for the default")
+        if self.quality is not None:
+            defaults = {each.name: each.default for each in fields(self)}
+            for name, preset in PRESETS[self.quality].items():
+                if getattr(self, name) == defaults[name]:
+                    object.__setattr__(self, name, preset)
+            object.__setattr__(self, "quality", None)
 
     @property
     def depth(self) -> int:
@@ -383,7 +389,7 @@ def make_options(values: Mapping[str, Any], *, whole: bool = True) -> RenderOpti
         if name not in OPTION_NAMES:
             hint = did_you_mean(name, OPTION_NAMES)
             raise UsageError(f"there is no option {name!r}: use {listed(OPTION_NAMES)}{hint}")
-    options = RenderOptions(**known)
+    options = RenderOptions(**with_preset(known))
     if whole:
         options.check_together()
     return options

@@ -57,7 +57,9 @@ class World:
             raise self.load_fault
         return self.scene
 
-    def render(self, scene: Scene, camera: Camera | None = None, *, options: RenderOptions) -> FakeFrame:
+    def render(
+        self, scene: Scene, camera: Camera | None = None, *, options: RenderOptions, watch: Any = None
+    ) -> FakeFrame:
         if self.fault:
             raise self.fault
         assert camera is not None

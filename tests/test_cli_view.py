@@ -12,6 +12,7 @@ import pytest
 from cli_world import World, fails, make_scene, make_world
 
 from clrast.__main__ import main
+from clrast.quality import PRESETS
 from clrast.scene.model import Camera
 
 
@@ -102,8 +103,13 @@ def test_a_cards_values_yield(world: World, capsys: pytest.CaptureFixture[str]) 
     options = world.calls[-1][1]
     assert (options.size, options.precision, options.aov) == ((8, 8), "ordered", ("depth",))
     assert options.effects == {"alpha mask": "off", "textures": "auto"}
+    camera_of(world, "--quality", "final")
+    preset = {name: getattr(world.calls[-1][1], name) for name in PRESETS["final"]}
+    assert preset == PRESETS["final"] and world.calls[-1][1].aov == ("id",)
+    camera_of(world, "--quality", "final", "--aa", "none")
+    assert (world.calls[-1][1].precision, world.calls[-1][1].aa) == (PRESETS["final"]["precision"], "none")
     capsys.readouterr()
-    world.scene = make_scene(render_options={"aa": "ssaa:4", "time_budget": 3})
+    world.scene = make_scene(render_options={"aa": "ssaa:4", "accelerator": "grid"})
     camera_of(world)
     printed = capsys.readouterr().err.splitlines()
     assert [line.split(":")[0] for line in printed] == ["warning"]

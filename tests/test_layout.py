@@ -215,6 +215,7 @@ FLOORS = (
     "opencl",
     "scene",
     "visibility",
+    "quality",
     "options",
     "shading",
     "image",

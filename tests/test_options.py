@@ -13,6 +13,8 @@ from clrast import options as o
 from clrast.errors import UsageError
 from clrast.image.header import resolved_header
 from clrast.options import AOV_GROUPS, EFFECTS, RenderOptions, UnavailableError, make_options
+from clrast.quality import PRESETS
+from clrast.visibility.sample_patterns import parse_antialiasing
 
 FLOAT32_RANGE = st.floats(min_value=-o.MAX_FLOAT32, max_value=o.MAX_FLOAT32, allow_nan=False, allow_infinity=False)
 
@@ -145,7 +147,6 @@ def test_fov_is_inside_0_and_180(degrees: float) -> None:
         ),
         ("method", "raycast-grid-multipass", "raycast-grid-multipass is not available in this version; use auto, "),
         ("accelerator", "grid", "--accelerator grid is not available"),
-        ("quality", "draft", "--quality draft is not available"),
         ("grid_resolution", "64", "--grid-resolution is not available"),
         (
             "effects",
@@ -170,6 +171,7 @@ def test_what_is_not_there_yet_says_so(name: str, value: str | bool, message: st
         ("intersection", "determinant", "use edge or barycentric"),
         ("counters", "yes", "use True or False"),
         ("counters", 1, "use True or False"),
+        ("half", "yes", "use True or False"),
         ("oracle", 3, "no text and no list of texts"),
         ("oracle", "", "give NAME=VALUE"),
         ("mode", "trace", "use cast"),
@@ -183,6 +185,8 @@ def test_what_is_not_there_yet_says_so(name: str, value: str | bool, message: st
         ("device", "", "empty"),
         ("oracle", "nope=1", "use is_outside"),
         ("quality", "best", "use preview, draft or final"),
+        ("quality", 3, "use preview, draft or final"),
+        ("quality", ["draft"], "use preview, draft or final"),
     ],
 )
 def test_nonsense_is_refused_with_what_is_allowed(name: str, value: str, message: str) -> None:
@@ -232,6 +236,26 @@ def test_unknown_name_is_named_with_the_nearest() -> None:
     with pytest.raises(UsageError, match="did you mean precision"):
         make_options({"precison": "fast"})
     assert make_options({"shading-rate": "sample"}).shading_rate == "sample"
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_quality_is_its_options_and_what_is_given_wins(name: str) -> None:
+    """Also where what is given is the default of an option."""
+    preset = PRESETS[name]
+    made = make_options({"quality": name, "size": "8x8"})
+    assert made == RenderOptions(size=(8, 8), **preset) == RenderOptions(size=(8, 8), quality=name)
+    assert made.quality is None
+    for option in preset:
+        default = getattr(RenderOptions(), option)
+        assert make_options({"quality": name, option: default}) == RenderOptions(**{**preset, option: default})
+    header = resolved_header(made, {"e": (0.0, 0.0, 1.0)})
+    assert {option: header[option] for option in preset} == preset and "quality" not in header
+
+
+def test_presets_grow_more_accurate() -> None:
+    samples = [len(parse_antialiasing("--aa", preset["aa"]).pattern) for preset in PRESETS.values()]
+    assert list(PRESETS) == ["preview", "draft", "final"] and samples == sorted(set(samples))
+    assert PRESETS["final"]["precision"] == "exact"
 
 
 def test_header_has_a_fixed_order_and_nothing_of_the_machine() -> None:

@@ -264,10 +264,11 @@ def _write_plots(paths: Sequence[str], comparisons: Sequence[Comparison]) -> Non
     from clrast.study.compare_plot import draw
 
     pictures = [(path, draw(comparisons, os.path.splitext(path)[1].lower())) for path in paths]
-    _write_all(pictures)
+    write_all(pictures)
 
 
-def _write_all(files: Sequence[tuple[str, bytes]]) -> None:
+def write_all(files: Sequence[tuple[str, bytes]]) -> None:
+    """Write files by path, all or none: each stands beside its target before the first takes its place."""
     if not files:
         return
     (path, content), *rest = files
@@ -275,7 +276,7 @@ def _write_all(files: Sequence[tuple[str, bytes]]) -> None:
     def write(draft: str) -> None:
         with open(draft, "wb") as file:
             file.write(content)
-        _write_all(rest)
+        write_all(rest)
 
     write_whole(path, write)
 

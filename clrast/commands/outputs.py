@@ -17,13 +17,14 @@ if TYPE_CHECKING:
 
 @dataclass
 class Outputs:
-    """Where results go. `images` : paths with a suffix of IMAGE_SUFFIXES; `stats` : a path or None.
+    """Where results go. `images` : paths with a suffix of IMAGE_SUFFIXES; `stats` : a path or None; `half` : of EXR.
 
     Files are prepared beside their targets and take their places together in `commit`.
     """
 
     images: tuple[str, ...]
     stats: str | None = None
+    half: bool = False
     _prepared: list[tuple[str, str]] = field(default_factory=list)
 
     @property
@@ -60,7 +61,7 @@ class Outputs:
             kept = exr_frame if _suffix(path) == ".exr" else frame
             temporary = self._beside(real)
             try:
-                kept.save(temporary)
+                kept.save(temporary, self.half)
             except OutputError as fault:
                 raise OutputError(str(fault).replace(temporary, path)) from None
 

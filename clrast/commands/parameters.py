@@ -12,6 +12,7 @@ import typer
 
 from clrast.options import AVAILABLE_METHODS, listed
 from clrast.options import EFFECTS as EFFECT_NAMES
+from clrast.quality import PRESETS
 from clrast.visibility.oracles import FRUSTUM_SIDES, ORACLES
 
 Texts = list[str] | None
@@ -86,7 +87,16 @@ Samples = Annotated[
 ]
 Seed = Annotated[Texts, _option("--seed", metavar="N", text="Of random numbers [default: 0].", panel=ACCURACY)]
 MaxDepth = Annotated[Texts, typer.Option("--max-depth", metavar="N", hidden=True)]
-Quality = Annotated[Texts, typer.Option("--quality", metavar="NAME", hidden=True)]
+Quality = Annotated[
+    Texts,
+    _option(
+        "--quality", metavar="NAME", panel=ACCURACY,
+        text="; ".join(
+            f"{name}: {', '.join(f'--{option} {value}' for option, value in preset.items())}"
+            for name, preset in PRESETS.items()
+        ) + ". Options that are given win.",
+    ),
+]  # fmt: skip
 
 Method = Annotated[
     Texts,
@@ -144,6 +154,7 @@ Aov = Annotated[
         panel=OUTPUTS,
     ),
 ]  # fmt: skip
+Half = Annotated[bool, _switch("--half", text="Float channels of .exr files as 16-bit floats.", panel=OUTPUTS)]
 Stats = Annotated[
     Texts, _option("--stats", metavar="FILE", text="Camera, counts, times and effects as JSON.", panel=OUTPUTS)
 ]

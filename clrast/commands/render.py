@@ -77,6 +77,7 @@ def render_command(
     mode: p.Mode = None,
     effects: p.Effects = None,
     aov: p.Aov = None,
+    half: p.Half = False,
     stats: p.Stats = None,
     counters: p.Counters = False,
     report: p.Report = False,
@@ -120,7 +121,7 @@ def _exit_code(stats: Mapping[str, Any], watch: Watch, job: Job) -> int:
     """0, or why paths are missing from an image that is written all the same."""
     if watch.interrupted:
         return EXIT_INTERRUPTED
-    if stats["stopped"] is None:
+    if stats.get("stopped") is None:
         return EXIT_OK
     budget = job.given.get("time_budget")
     messages.error(f"--time-budget {budget} is reached: the image has fewer paths than wanted: --resume FILE goes on")
@@ -153,7 +154,7 @@ def make_job(values: Mapping[str, Any], started: float) -> Job:
     if make_options(given, whole=False).repeat == 0 and "repeat" in given:
         raise UsageError("--repeat 0 renders nothing: give 1 or more, or leave it out")
     view = make_view({name: single[name] for name in VIEW_NAMES})
-    outputs = Outputs(tuple(dict.fromkeys(values["output"] or ())), single["stats"])
+    outputs = Outputs(tuple(dict.fromkeys(values["output"] or ())), single["stats"], bool(single["half"]))
     outputs.check_usage(single["input"])
     if not outputs.images and not (single["stats"] or single["report"] or single["json"]):
         raise UsageError("no output: name an image, such as -o image.exr")

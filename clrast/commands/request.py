@@ -10,6 +10,7 @@ from clrast.commands.stats import complete_stats
 from clrast.commands.viewpoint import VIEW_NAMES, Choice, View, choose_camera, make_view
 from clrast.errors import SceneError, UsageError
 from clrast.options import RenderOptions, UnavailableError, make_options, parse_effects
+from clrast.quality import with_preset
 from clrast.scene.model import Camera, Scene
 
 if TYPE_CHECKING:
@@ -63,7 +64,8 @@ def merge_options(scene: Scene, given: Mapping[str, Any], source: str) -> tuple[
         own = parse_effects("--effects", merged["effects"])
         merged["effects"] = {**own, **parse_effects("--effects", given["effects"])}
         given = {name: value for name, value in given.items() if name != "effects"}
-    options = make_options({**merged, **given})
+    # What was given wins over the card: its --quality too, over options that the card sets by name.
+    options = make_options({**with_preset(merged), **with_preset(given)})
     for name, modes in UNUSED_OUTSIDE.items():
         if name in given and options.mode not in modes and "effects" not in given:
             warnings.append(f"--{name.replace('_', '-')} is not used in mode {options.mode}: it is ignored")
