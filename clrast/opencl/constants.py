@@ -116,6 +116,24 @@ WORK_COUNTER_COUNT = len(WORK_COUNTERS)
 LIST_CHUNK = 256
 """Entries that one work item counts and lists where lists are made by prefix sums; a multiple of 16."""
 
+CELL_CHUNK = 4096
+"""Cells of a grid whose counts one work item adds up."""
+
+ORDER_CHUNK = 256
+"""Cells whose lists one work item puts in order."""
+
+SHORT_LIST = 32
+"""Lists up to this long are sorted by insertion."""
+
+RAY_BLOCK = 8
+"""A work item of traverse_grid takes a square of this many rays a side, one after the other."""
+
+RECORD_WORDS = 16
+"""32-bit words of a triangle's record: see cl/record_triangles.cl."""
+
+NEARNESS_DOUBT = 2.0**-10
+"""What computed w may be off by, relative to itself, where a triangle is left to the grid."""
+
 MAX_SHARED_SAMPLES = 32
 """Most samples of a pixel whose shading is shared."""
 
