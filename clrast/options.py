@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from clrast.errors import UsageError
+from clrast.opencl.constants import MAX_GRID_SIDE
 from clrast.visibility.methods import AUTO, SNAPPED_METHODS, resolve_method
 from clrast.visibility.methods import METHODS as METHOD_TABLE
 from clrast.visibility.oracles import parse_oracle
@@ -23,8 +24,9 @@ from clrast.visibility.sample_patterns import FILTERS, parse_antialiasing
 PRECISIONS = ("fast", "ordered", "midpoint", "double", "fixed", "exact")
 AVAILABLE_PRECISIONS = PRECISIONS
 AVAILABLE_METHODS = (AUTO, *METHOD_TABLE)
-METHODS = (*AVAILABLE_METHODS[:-1], "raycast-grid", "raycast-grid-multipass", AVAILABLE_METHODS[-1])
-"""In the order of the design, which lists those over a grid before the last."""
+METHODS = AVAILABLE_METHODS
+"""In the order of the design."""
+GRID_METHODS = tuple(name for name, row in METHOD_TABLE.items() if row.grid)
 MODES = ("cast", "shadow", "whitted", "path")
 PROJECTIONS = ("perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube")
 AVAILABLE_PROJECTIONS = ("perspective", "orthographic")
@@ -281,11 +283,11 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "samples": _count(1, 1 << 24),
     "seed": _count(0, MAX_SEED),
     "intersection": _choice(("edge", "barycentric")),
-    "accelerator": _choice(("auto", "grid", "bvh"), ("auto", "bvh")),
+    "accelerator": _choice(("auto", "grid", "bvh")),
     "oracle": _parse_oracle,
     "max_depth": _count(0, MAX_DEPTH),
     "quality": _parse_quality,
-    "grid_resolution": _refused("leave it out, as no method here uses a grid"),
+    "grid_resolution": _count(1, MAX_GRID_SIDE),
     "time_budget": _parse_budget,
     "resume": _text,
 }
@@ -364,10 +366,22 @@ class RenderOptions:
                 f"--precision fixed snaps projected vertices, and {self.method} projects none: "
                 f"use --method {listed(SNAPPED_METHODS)}, or another rung"
             )
+        self._check_accelerator()
         if self.filter != "box" and self.aa.startswith("auto"):
             raise UsageError(f"--filter {self.filter} needs as many samples in each pixel: use --aa ssaa:N or msaa:N")
         if self.shading_rate == "sample" and self.aa.startswith("csaa"):
             raise UsageError("--shading-rate sample: csaa's coverage samples have no shading: use --aa msaa:N")
+
+
+    def _check_accelerator(self) -> None:
+        is_grid = self.method in GRID_METHODS or (self.method == AUTO and self.accelerator == "grid")
+        if self.grid_resolution is not None and not is_grid:
+            raise UsageError(f"--grid-resolution is of methods with a grid: use --method {listed(GRID_METHODS)}")
+        if self.method == AUTO or self.accelerator == "auto":
+            return
+        owners = GRID_METHODS if self.accelerator == "grid" else tuple(n for n, row in METHOD_TABLE.items() if row.needs_bvh)
+        if self.method not in owners:
+            raise UsageError(f"--accelerator {self.accelerator} is none of {self.method}: use --method {listed(owners)}")
 
 
 OPTION_NAMES = tuple(each.name for each in fields(RenderOptions))

@@ -116,6 +116,9 @@ WORK_COUNTER_COUNT = len(WORK_COUNTERS)
 LIST_CHUNK = 256
 """Entries that one work item counts and lists where lists are made by prefix sums; a multiple of 16."""
 
+MAX_GRID_SIDE = 1023
+"""Cells of a grid along an axis: numbers of cells of three axes fit one word of a ray's state."""
+
 CELL_CHUNK = 4096
 """Cells of a grid whose counts one work item adds up."""
 

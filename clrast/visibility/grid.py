@@ -22,14 +22,11 @@ from clrast.errors import CapacityError
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
-from clrast.opencl.layout import CELL_CHUNK, GRID, ORDER_CHUNK
+from clrast.opencl.layout import CELL_CHUNK, GRID, MAX_GRID_SIDE, ORDER_CHUNK
 from clrast.visibility.geometry import WORK_GROUP
 
 if TYPE_CHECKING:
     import pyopencl as cl
-
-MAX_GRID_SIDE = 1023
-"""Cells along an axis: numbers of cells of three axes fit one word of a ray's state."""
 
 PAD_SHARE = 1.0 / 16
 """Part of a cell's side within which a triangle still stands in the cell."""
