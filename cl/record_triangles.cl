@@ -66,7 +66,8 @@ INLINE void widen_record(TriangleSetup *setup, ErrorBounds errors, View view, ui
 #endif
 
 // Writes the records of VECTOR_WIDTH triangles from `first` on, as far as they are in `wanted`.
-INLINE void store_records(TriangleSetup setup, const uint *last_words, uint first, int_v wanted, global uint *records) {
+INLINE void store_records(TriangleSetup setup, const uint *word_14, const float *word_15, uint first, int_v wanted,
+                          global uint *records) {
   float word[12][VECTOR_WIDTH];
 #pragma unroll
   for (uint i = 0; i < 3; ++i) {
@@ -81,8 +82,8 @@ INLINE void store_records(TriangleSetup setup, const uint *last_words, uint firs
     const int lane = first_lane(mask);
     global uint *record = records + (size_t)RECORD_WORDS * (first + lane);
     for (uint k = 0; k < 12; ++k) record[k] = as_uint(word[k][lane]);
-    record[14] = last_words[lane];
-    record[15] = last_words[VECTOR_WIDTH + lane];
+    record[14] = word_14[lane];
+    record[15] = as_uint(word_15[lane]);
   }
 }
 
@@ -121,27 +122,28 @@ kernel void record_triangles(
 #pragma unroll
       for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) prim_id[lane] = min(k + lane, triangle_count - 1);
       const Triangles triangles = gather_triangles(corners, prim_id);
-      uint last_words[2 * VECTOR_WIDTH];
+      uint word_14[VECTOR_WIDTH];
+      float word_15[VECTOR_WIDTH];
 #if FILTERED
       ErrorBounds errors;
       TriangleSetup setup =
           setup_triangles_settled(triangles, view, view.direction_reach, prim_id, facing_signs, &errors);
       loose = in_view & !is_tame(triangles, setup, errors, view, grid);
       const uint_v back = setup.volume > 0.0f ? (uint_v)(0) : (uint_v)(0x80000000u);
-      STORE_V(AS_UINT_V(errors.edge) | back, last_words);
-      widen_record(&setup, errors, view, low, high, (float *)(last_words + VECTOR_WIDTH));
+      STORE_V(AS_UINT_V(errors.edge) | back, word_14);
+      widen_record(&setup, errors, view, low, high, word_15);
 #else
       const TriangleSetup setup = setup_triangles_at(triangles, view);
       const ErrorBounds errors = bound_errors(triangles, setup.volume, view, view.direction_reach);
       loose = in_view & (is_tame(triangles, setup, errors, view, grid) == 0);
-      STORE_V(AS_UINT_V(setup.edge[0].exclusive | setup.edge[1].exclusive << 1 | setup.edge[2].exclusive << 2), last_words);
-      STORE_V((uint_v)(0), last_words + VECTOR_WIDTH);
+      STORE_V(AS_UINT_V(setup.edge[0].exclusive | setup.edge[1].exclusive << 1 | setup.edge[2].exclusive << 2), word_14);
+      STORE_V((float_v)(0.0f), word_15);
 #endif
       if (all_loose) loose = in_view;
       // What has no volume covers nothing.
       loose &= setup.valid;
       in_view &= setup.valid;
-      store_records(setup, last_words, k, in_view, records);
+      store_records(setup, word_14, word_15, k, in_view, records);
 #if COUNTERS
       work[WORK_COUNTER_COUNT * (size_t)get_global_id(0)] += count_lanes(in_view);
 #endif
