@@ -32,6 +32,7 @@ from clrast.visibility.cost_model import DEFAULT, StageTimes, ViewCounts
 from clrast.visibility.frusta import FrustumTraversal, stack_capacity, traversal_bytes
 from clrast.visibility.geometry import build_geometry
 from clrast.visibility.grid import Grid, GridBuilder
+from clrast.visibility.grid_passes import STATE_BYTES, GridPasses
 from clrast.visibility.grid_rays import GRID_SHARE, GridRaycaster, check_loops, grid_view_bytes
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import AUTO, SNAPPED_DEFAULT, Method, resolve_method
@@ -229,6 +230,9 @@ class RenderJob:
     def _make_visibility(self) -> TileRasterizer | FrustumTraversal:
         masks = self.surfaces.named(*MASK_ARGUMENTS)
         common = (self.view, self.geometry, masks, self.bands.band_rows, self.work, self.contenders)
+        if self.grid is not None and self.method.passes:
+            choice = self.method.rays["pass"]
+            return GridPasses(self.device, self.features, *common, grid=self.grid, choice=choice)
         if self.grid is not None:
             return GridRaycaster(self.device, self.features, *common, grid=self.grid)
         if self.method.tiles:
@@ -242,6 +246,8 @@ class RenderJob:
             per_pixel += 4 * planes
         if self.plan["alpha blend"]:
             per_pixel += 4 + 4 * planes
+        if self.method.passes:
+            per_pixel += STATE_BYTES
         if self.features.counters:
             per_pixel += 4 * COST_PLANES
         if self.integrator is not None:

@@ -131,6 +131,18 @@ SHORT_LIST = 32
 RAY_BLOCK = 8
 """A work item of traverse_grid takes a square of this many rays a side, one after the other."""
 
+RAY_TRAVERSING = 0
+"""States of a ray in passes: it looks for cells with triangles,"""
+
+RAY_INTERSECTING = 1
+"""it is tested against those of a cell,"""
+
+RAY_SHADING = 2
+"""it has met all that it had to, or it left the grid,"""
+
+RAY_DONE = 3
+"""or never met it."""
+
 RECORD_WORDS = 16
 """32-bit words of a triangle's record: see cl/record_triangles.cl."""
 

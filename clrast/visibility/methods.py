@@ -63,6 +63,9 @@ class Method:
             chosen[name] = ORACLES[name].settings[choice.setting][0]
         if "mailbox" in self.rays:
             chosen["mailbox"] = self.rays["mailbox"].number if self.rays["mailbox"].setting == "boxes" else 0
+        if "unroll" in self.rays:
+            steps = int(self.rays["unroll"].setting)
+            chosen |= {"unroll_steps": steps, "unroll_tests": self.rays["unroll"].number or steps}
         edges = Edges.SPATIAL if features.filtered else self.edges
         # Integer edge functions have one value, however it is come by.
         evaluation = "direct" if features.precision is Precision.FIXED else self.evaluation
@@ -123,6 +126,8 @@ METHODS: Mapping[str, Method] = MappingProxyType({
              Edges.SPATIAL, {**_CULLING, "is_occluded": "w_buffer"}, frustum=8),
         _grid_row("raycast-grid", "one ray at a time through the uniform grid, branching", "Purcell 3.1",
                   ("mailbox=never",)),
+        _grid_row("raycast-grid-multipass", "the same in passes over streams of rays, chosen by the host", "Purcell 3.2",
+                  ("pass=purcell", "unroll=4"), passes=True),
         _row("raycast-brute", "a loop over triangles for each vector of rays (Durand, section 3)", "Durand 3, 4",
              Edges.SPATIAL, _NOTHING, frustum=4),
     )
