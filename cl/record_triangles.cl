@@ -159,7 +159,7 @@ kernel void record_triangles(
     }
     STORE_V(loose ? low : (uint_v)(0), loose_low + k);
     STORE_V(loose ? high : (uint_v)(0), loose_high + k);
-    loose_count += count_lanes(loose);
+    loose_count += popcount(LANE_MASK(loose));
   }
   loose_counts[get_global_id(0)] = loose_count;
 }

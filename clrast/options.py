@@ -379,9 +379,11 @@ class RenderOptions:
             raise UsageError(f"--grid-resolution is of methods with a grid: use --method {listed(GRID_METHODS)}")
         if self.method == AUTO or self.accelerator == "auto":
             return
-        owners = GRID_METHODS if self.accelerator == "grid" else tuple(n for n, row in METHOD_TABLE.items() if row.needs_bvh)
-        if self.method not in owners:
-            raise UsageError(f"--accelerator {self.accelerator} is none of {self.method}: use --method {listed(owners)}")
+        if (self.accelerator == "grid") != (self.method in GRID_METHODS):
+            if self.accelerator == "grid":
+                raise UsageError(f"--accelerator grid is not that of {self.method}: use --method {listed(GRID_METHODS)}")
+            if self.method in GRID_METHODS:
+                raise UsageError(f"--accelerator bvh is not that of {self.method}: leave it out, or name another method")
 
 
 OPTION_NAMES = tuple(each.name for each in fields(RenderOptions))

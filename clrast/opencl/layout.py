@@ -130,7 +130,10 @@ GRID = np.dtype(
 )
 """A uniform grid, without its lists."""
 
-STRUCTS = {"View": VIEW, "Camera": CAMERA, "Grid": GRID, "Material": MATERIAL, "Texture": TEXTURE, "Light": LIGHT, "Planes": PLANES}
+STRUCTS = {
+    "View": VIEW, "Camera": CAMERA, "Grid": GRID, "Material": MATERIAL, "Texture": TEXTURE, "Light": LIGHT,
+    "Planes": PLANES,
+}  # fmt: skip
 
 CONSTANTS: dict[str, int | float] = {
     name: value

@@ -76,7 +76,7 @@ class PassCounts:
 
 
 class GridPasses(GridRaycaster):
-    """GridRaycaster, its rays in passes. choice : of the oracle `pass`. The kernels' loops are as long as the features say.
+    """GridRaycaster, its rays in passes. choice : of the oracle `pass`. The features say how long the kernels' loops are.
 
     Every band waits for each of its passes.
     """
@@ -138,10 +138,11 @@ class GridPasses(GridRaycaster):
             else:
                 self.passes.intersect += 1
                 self.passes.rays_intersect += ray_count
-                named = {name: value for name, value in arguments.items() if name != "cell_begin"} | {"late": self._late}
+                named = {**arguments, "late": self._late}
+                del named["cell_begin"]
                 named |= self._work_arguments(ray_count, {})
             named |= {"cells": self._cells, "cursors": self._cursors}
-            self._run_pass(f"{kind}_rays" if kind == TRAVERSE else "intersect_rays", ray_count, rays, counts, **named)
+            self._run_pass(f"{kind}_rays", ray_count, rays, counts, **named)
 
     def _work_arguments(self, ray_count: int, more: dict[str, Any]) -> dict[str, Any]:
         if self.work is None:

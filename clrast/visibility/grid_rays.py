@@ -126,7 +126,8 @@ class GridRaycaster(TileRasterizer):
     def _cast_rays(self, layer: int, front: tuple[cl.Buffer, cl.Buffer] | None) -> None:
         """Let the rays of the band go on from what the loose triangles left."""
         pixel_count = self.band_pixel_count()
-        columns, rows = -(-int(self.view["width"]) // RAY_BLOCK), -(-(pixel_count // int(self.view["width"])) // RAY_BLOCK)
+        width = int(self.view["width"])
+        columns, rows = -(-width // RAY_BLOCK), -(-(pixel_count // width) // RAY_BLOCK)
         arguments = self._ray_arguments(layer, front) | {
             "block_columns": columns,
             "block_count": columns * rows,
