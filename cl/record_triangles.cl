@@ -14,7 +14,7 @@
 // hit lies within 2 B |e| of the triangle along each axis, |e| its longest extent there (two b_i below 0 at most). With
 // volume N . r_0 = v > 0 and depths z_i, perspective: V_0 z_0 + V_1 z_1 + V_2 z_2 = 2 v (f . d = 1), so that
 // V_0 + V_1 + V_2 >= 2 v / z - 4 E, z = max |z_i|. With q = E z / v, 5/4 of it for v's own error: B <= q wherever
-// q <= 1/8, and then w >= 1 / (2 z) as well. Orthographic: the sum is v itself, B = E / v.
+// q <= 1/8, and then w >= 3 / (4 z) as well. Orthographic: the sum is v itself, B = E / v.
 // Good at: many rays a triangle. Bad at: memory (64 bytes a triangle). Tests: tests/test_grid.py.
 
 #define WITH_ERROR_BOUNDS 1
@@ -30,7 +30,7 @@
 #endif
 
 // Mask: the grid finds every sample that such a triangle may be given.
-INLINE int_v is_tame(Triangles t, TriangleSetup setup, ErrorBounds errors, View view, Grid grid) {
+INLINE int_v is_tame(Triangles t, TriangleSetup setup, ErrorBounds errors, View view, Grid grid, float walk_doubt) {
   const Vec3 origin = broadcast(view.origin);
   const Vec3 edge = largest(sizes(subtract(t.p1, t.p2)), largest(sizes(subtract(t.p2, t.p0)), sizes(subtract(t.p0, t.p1))));
   const float_v size = fabs(setup.volume), doubt = errors.edge * DOUBT_SHARE;
@@ -44,12 +44,12 @@ INLINE int_v is_tame(Triangles t, TriangleSetup setup, ErrorBounds errors, View 
                             max(fabs(dot3s(subtract(t.p1, origin), view.inverse_w)),
                                 fabs(dot3s(subtract(t.p2, origin), view.inverse_w)))) * (1.0f + 64.0f * UNIT) + LENGTH_FLOOR;
   const float_v share = 1.25f * doubt * depth / size;
-  const float_v late = errors.nearness * (2.0f * depth) + errors.nearness_by_size;
+  const float_v late = errors.nearness * (1.34f * depth) + errors.nearness_by_size;
   int_v tame = late * DOUBT_SHARE <= NEARNESS_DOUBT;
 #endif
   tame &= (share <= 0.125f) & (errors.facing_unsure == 0);
-  tame &= (2.0f * share * edge.x <= 0.5f * grid.pad.x) & (2.0f * share * edge.y <= 0.5f * grid.pad.y) &
-          (2.0f * share * edge.z <= 0.5f * grid.pad.z);
+  tame &= (2.0f * share * edge.x <= grid.pad.x - walk_doubt) & (2.0f * share * edge.y <= grid.pad.y - walk_doubt) &
+          (2.0f * share * edge.z <= grid.pad.z - walk_doubt);
   return tame;
 }
 
@@ -95,7 +95,7 @@ kernel void record_triangles(
     Grid grid,
     uint triangle_count,
     uint chunk_size,                          // triangles a chunk, a multiple of VECTOR_WIDTH
-    uint all_loose,                           // not 0: the grid is not to be trusted with any
+    float doubt,                              // how far at most walks stray from their rays
     global const float4 *restrict corners,    // [3 * triangle_count]
     global const uint *restrict bounds_low,   // [padded triangle_count]
     global const uint *restrict bounds_high,  // [padded triangle_count]
@@ -128,18 +128,17 @@ kernel void record_triangles(
       ErrorBounds errors;
       TriangleSetup setup =
           setup_triangles_settled(triangles, view, view.direction_reach, prim_id, facing_signs, &errors);
-      loose = in_view & !is_tame(triangles, setup, errors, view, grid);
+      loose = in_view & !is_tame(triangles, setup, errors, view, grid, doubt);
       const uint_v back = setup.volume > 0.0f ? (uint_v)(0) : (uint_v)(0x80000000u);
       STORE_V(AS_UINT_V(errors.edge) | back, word_14);
       widen_record(&setup, errors, view, low, high, word_15);
 #else
       const TriangleSetup setup = setup_triangles_at(triangles, view);
       const ErrorBounds errors = bound_errors(triangles, setup.volume, view, view.direction_reach);
-      loose = in_view & (is_tame(triangles, setup, errors, view, grid) == 0);
+      loose = in_view & (is_tame(triangles, setup, errors, view, grid, doubt) == 0);
       STORE_V(AS_UINT_V(setup.edge[0].exclusive | setup.edge[1].exclusive << 1 | setup.edge[2].exclusive << 2), word_14);
       STORE_V((float_v)(0.0f), word_15);
 #endif
-      if (all_loose) loose = in_view;
       // What has no volume covers nothing.
       loose &= setup.valid;
       in_view &= setup.valid;

@@ -263,5 +263,6 @@ def test_the_stack_holds_the_deepest_traversal(frustum_log2: int) -> None:
 def test_meanings_are_said_once() -> None:
     """No two settings, oracles or methods share a sentence: what the help lists can be told apart."""
     said = [meaning for oracle in oracles.ORACLES.values() for _, meaning in oracle.settings.values()]
-    said += [oracle.meaning for oracle in (*ORACLES.values(), *RAY_ORACLES.values())] + [method.meaning for method in METHODS.values()]
+    said += [oracle.meaning for oracle in (*ORACLES.values(), *RAY_ORACLES.values())]
+    said += [method.meaning for method in METHODS.values()]
     assert len(set(said)) == len(said)

@@ -76,7 +76,7 @@ class PassCounts:
 
 
 class GridPasses(GridRaycaster):
-    """GridRaycaster, its rays in passes. choice : of the oracle `pass`. The features say how long the kernels' loops are.
+    """GridRaycaster, its rays in passes. choice : of the oracle `pass`. Features say how long loops are.
 
     Every band waits for each of its passes.
     """
@@ -101,9 +101,9 @@ class GridPasses(GridRaycaster):
         self._passes_program = kernels.build(device, "pass_rays.cl", features)
         pixels = min(band_rows << features.tile_log2, int(view["height"])) * int(view["width"])
         chunks = -(-pixels // LIST_CHUNK)
-        self._cells = buffers.create(device, 4 * pixels)
-        self._cursors = buffers.create(device, 8 * pixels)
-        self._states = buffers.create(device, pixels)
+        self._ray_cells = buffers.create(device, 4 * pixels)
+        self._ray_cursors = buffers.create(device, 8 * pixels)
+        self._ray_states = buffers.create(device, pixels)
         self._streams = {kind: [buffers.create(device, 4 * pixels) for _ in range(2)] for kind in (TRAVERSE, INTERSECT)}
         self._chunk_counts = buffers.create(device, 8 * chunks)
         self._chunk_begins = buffers.create(device, 8 * chunks)
@@ -120,7 +120,7 @@ class GridPasses(GridRaycaster):
         counts = {TRAVERSE: 0, INTERSECT: 0}
         pixel_count = self.band_pixel_count()
         arguments = self._ray_arguments(layer, front)
-        self._run_pass("generate_eye_rays", pixel_count, self._streams[TRAVERSE][1], counts, cells=self._cells,
+        self._run_pass("generate_eye_rays", pixel_count, self._streams[TRAVERSE][1], counts, cells=self._ray_cells,
                        view=self.view, grid=self._grid_struct)  # fmt: skip
         self.passes.other += 1
         self.passes.rays += pixel_count
@@ -141,7 +141,7 @@ class GridPasses(GridRaycaster):
                 named = {**arguments, "late": self._late}
                 del named["cell_begin"]
                 named |= self._work_arguments(ray_count, {})
-            named |= {"cells": self._cells, "cursors": self._cursors}
+            named |= {"cells": self._ray_cells, "cursors": self._ray_cursors}
             self._run_pass(f"{kind}_rays", ray_count, rays, counts, **named)
 
     def _work_arguments(self, ray_count: int, more: dict[str, Any]) -> dict[str, Any]:
@@ -152,7 +152,7 @@ class GridPasses(GridRaycaster):
     def _run_pass(self, kernel: str, ray_count: int, rays: cl.Buffer, counts: dict[str, int], **arguments: Any) -> None:
         """Launch a pass over a stream and put its rays where they belong; adds to `counts`. Waits."""
         chunks = -(-ray_count // LIST_CHUNK)
-        stream = {"ray_count": ray_count, "rays": rays, "states": self._states}
+        stream = {"ray_count": ray_count, "rays": rays, "states": self._ray_states}
         program, sums = self._passes_program, {"chunk_counts": self._chunk_counts}
         program.launch(kernel, chunks, 1, **stream, **sums, **arguments)
         begins = {"chunk_begins": self._chunk_begins}

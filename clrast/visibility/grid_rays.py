@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     import pyopencl as cl
 
 RECORD_BYTES = 4 * RECORD_WORDS
+MAX_FLOAT32 = 3.4028234663852886e38
 GRID_SHARE = 0.5
 """Part of the budget that a grid may take, after what the scene takes."""
 
@@ -44,8 +45,8 @@ def check_loops(device: Device) -> None:
         raise DeviceError(f"{device.name} ends long loops early, and a grid may need them: use --device pocl")
 
 
-def is_trusted(view: np.ndarray, features: Features, grid: Grid) -> bool:
-    """Whether the walks of this view stay within half the padding of where their rays are (grid.clh, point 2).
+def walk_doubt(view: np.ndarray, features: Features, grid: Grid) -> float:
+    """How far the walks of this view may stray from their rays, device space (grid.clh, point 2).
 
     An origin, a direction, a plane's time each round some times; 16 roundings of 2^-24 of the distances that come in,
     and of the direction's largest component times these, hold them all.
@@ -55,7 +56,7 @@ def is_trusted(view: np.ndarray, features: Features, grid: Grid) -> bool:
     slope = 1.0 + float(view["direction_reach"].max())
     if features.projection is Projection.ORTHOGRAPHIC:
         reach += float(view["origin_reach"].sum())
-    return 16 * 2.0**-24 * reach * slope <= 0.5 * min(grid.shape.pad)
+    return min(float(16 * 2.0**-24 * reach * slope), MAX_FLOAT32)
 
 
 class GridRaycaster(TileRasterizer):
@@ -104,7 +105,7 @@ class GridRaycaster(TileRasterizer):
             grid=self._grid_struct,
             triangle_count=self.geometry.triangle_count,
             chunk_size=self.bounds.chunk_size,
-            all_loose=int(not is_trusted(self.view, self.features, self.grid)),
+            doubt=walk_doubt(self.view, self.features, self.grid),
             corners=self.geometry.corners,
             bounds_low=self.bounds.low,
             bounds_high=self.bounds.high,
