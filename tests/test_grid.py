@@ -421,21 +421,20 @@ def test_triangles_seen_edge_on_are_loose(free: Device) -> None:
     check(free, scene, view)
 
 
-@pytest.mark.parametrize("precision", ["fast", "exact"])
-def test_other_rungs_and_masked_and_blended_surfaces(free: Device, precision: str) -> None:
+@pytest.mark.parametrize("precision", ["midpoint", "exact"])
+@pytest.mark.parametrize("point", [GRID, pytest.param(PASSES, marks=pytest.mark.long)])
+def test_masked_and_blended_surfaces(free: Device, point: tuple, precision: str) -> None:
     scene, view = glass_and_leaves(31), oblique("perspective", 72, 40)
-    for point in (GRID, PASSES):
-        right = start(free, scene, view, aov=("color", "id", "depth"), method="3dr-binning", precision=precision)[1]
-        found = start(free, scene, view, aov=("color", "id", "depth"), method=point[0], precision=precision)[1]
-        for name in right.channels:
-            assert (found[name].view(np.uint32) == right[name].view(np.uint32)).all(), (point, name)
+    options = {"aov": ("color", "id", "depth"), "precision": precision}
+    right = start(free, scene, view, method="3dr-binning", **options)[1]
+    found = start(free, scene, view, method=point[0], **options)[1]
+    for name in right.channels:
+        assert (found[name].view(np.uint32) == right[name].view(np.uint32)).all(), name
 
 
-def test_incremental_evaluation(free: Device) -> None:
-    scene, view = make_scene(soup(9, 150)), oblique("perspective", 100, 70)
-    for point in (GRID, PASSES):
-        right = images(free, scene, view, BRUTE, evaluation="incremental")
-        assert differences(images(free, scene, view, point, evaluation="incremental"), right) == ""
+@pytest.mark.parametrize("point", [GRID, pytest.param(PASSES, marks=pytest.mark.long)])
+def test_incremental_evaluation(free: Device, point: tuple) -> None:
+    check(free, make_scene(soup(9, 150)), oblique("perspective", 100, 70), point, evaluation="incremental")
 
 
 def test_bands_and_antialiasing(free: Device) -> None:
