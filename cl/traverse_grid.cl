@@ -57,6 +57,11 @@ kernel void traverse_grid(
     global const uint *restrict records,         // [padded triangle_count * RECORD_WORDS]
     global const uint *restrict cell_begin,      // [cell_count + 1] where each cell's list begins
     global const uint *restrict references,      // [reference_count] prim_ids
+#if TRACE
+    global const uint *restrict trace_begin,     // [pixel_count] where each ray's words begin
+    global uint *restrict trace,                 // cells, and TRACE_TEST | prim_id, in the order of reading; or 0
+    global uint *restrict trace_counts,          // [pixel_count] words of each ray; 0 where it misses the grid
+#endif
 #if COUNTERS
     global ulong *restrict work,                 // [block_count * WORK_COUNTER_COUNT] added to
     global uint *restrict cost,                  // [3 * pixel_count] evaluations, setups, steps of each sample, added to
@@ -103,8 +108,16 @@ kernel void traverse_grid(
 #if COUNTERS
     uint steps = 0;
 #endif
+#if TRACE
+    uint written = 0;
+    global uint *words = trace == 0 ? 0 : trace + trace_begin[pixel];
+#endif
     do {
       const uint cell = cell_of(grid, walk.x, walk.y, walk.z);
+#if TRACE
+      if (words != 0) words[written] = cell;
+      ++written;
+#endif
       const uint end = cell_begin[cell + 1];
       for (uint place = cell_begin[cell]; place < end; ++place) {
         const uint prim_id = references[place];
@@ -113,12 +126,19 @@ kernel void traverse_grid(
         mailbox[prim_id % MAILBOX] = prim_id;
 #endif
         meet_triangle(&s, prim_id, &ray);
+#if TRACE
+        if (words != 0) words[written] = TRACE_TEST | prim_id;
+        ++written;
+#endif
       }
 #if COUNTERS
       ++steps;
 #endif
     } while (!is_final(&ray, exit_time(&walk), late) && step_walk(grid, &walk));
     store_ray_sample(&s, &ray, pixel, nearness, visible_prims);
+#if TRACE
+    trace_counts[pixel] = written;
+#endif
 #if COUNTERS
     own.edge_evaluations += ray.evaluated;
     own.samples_tested += ray.tested;

@@ -131,6 +131,9 @@ SHORT_LIST = 32
 RAY_BLOCK = 8
 """A work item of traverse_grid takes a square of this many rays a side, one after the other."""
 
+TRACE_TEST = 0x80000000
+"""Of a word that a ray writes down: it is a triangle that was tested, else a cell that was entered."""
+
 RAY_TRAVERSING = 0
 """States of a ray in passes: it looks for cells with triangles,"""
 

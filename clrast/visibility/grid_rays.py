@@ -8,6 +8,7 @@ rasterized first, by their screen bounds; rays start with what these left. So th
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -126,18 +127,38 @@ class GridRaycaster(TileRasterizer):
 
     def _cast_rays(self, layer: int, front: tuple[cl.Buffer, cl.Buffer] | None) -> None:
         """Let the rays of the band go on from what the loose triangles left."""
-        pixel_count = self.band_pixel_count()
+        self._launch_blocks(self._program, self._ray_arguments(layer, front))
+
+    def _launch_blocks(self, program: kernels.Program, arguments: dict[str, Any]) -> None:
         width = int(self.view["width"])
-        columns, rows = -(-width // RAY_BLOCK), -(-(pixel_count // width) // RAY_BLOCK)
-        arguments = self._ray_arguments(layer, front) | {
-            "block_columns": columns,
-            "block_count": columns * rows,
-            "late": self._late,
-        }
+        columns, rows = -(-width // RAY_BLOCK), -(-(self.band_pixel_count() // width) // RAY_BLOCK)
+        arguments |= {"block_columns": columns, "block_count": columns * rows, "late": self._late}
         if self.work is not None:
             arguments |= {"work": self.work.rows(columns * rows), "cost": self.work.cost}
-        self._program.launch("traverse_grid", columns * rows, 1, **arguments)
+        program.launch("traverse_grid", columns * rows, 1, **arguments)
         self.launches += 1
+
+    def trace(self) -> tuple[np.ndarray, np.ndarray]:
+        """What the rays of the band read: ((pixel_count,) uint32 words of each ray, their words one ray after the other).
+
+        A word is a cell that was entered, or TRACE_TEST | prim_id of a triangle that was tested. Waits.
+        """
+        program = kernels.build(self.device, "traverse_grid.cl", replace(self.features, trace=True))
+        pixel_count = self.band_pixel_count()
+        counts = buffers.create(self.device, 4 * pixel_count)
+        buffers.fill(self.device, counts, np.uint32(0), 4 * pixel_count)
+        begin, words = np.zeros(pixel_count, dtype=np.uint64), None
+        for is_counting in (True, False):
+            super()._decide_samples(0, None)
+            where = buffers.upload(self.device, begin.astype(np.uint32))
+            arguments = self._ray_arguments(0, None) | {"trace_begin": where, "trace": words, "trace_counts": counts}
+            self._launch_blocks(program, arguments)
+            found = buffers.download(self.device, counts, np.uint32, pixel_count)
+            if is_counting:
+                ends = np.cumsum(found, dtype=np.uint64)
+                begin, total = ends - found, int(ends[-1])
+                words = buffers.create(self.device, 4 * max(1, total))
+        return found, buffers.download(self.device, words, np.uint32, total)
 
     def band_pixel_count(self) -> int:
         """Pixels of the band."""

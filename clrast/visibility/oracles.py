@@ -105,7 +105,6 @@ RAY_ORACLES: Mapping[str, Oracle] = MappingProxyType({
                 "naive": (0, "intersect as soon as any ray can, else traverse"),
                 "delany": (1, "what more rays wait for"),
                 "purcell": (2, "intersect once a share of the active rays can, else traverse"),
-                "steady": (3, "what cost more the last time, for each ray that it moved on, waits"),
             },
             ("per cent of the active rays that make an intersection pass worth it", 20, 1, 100),
         ),
