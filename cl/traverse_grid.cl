@@ -59,7 +59,7 @@ kernel void traverse_grid(
     global const uint *restrict references,      // [reference_count] prim_ids
 #if TRACE
     global const uint *restrict trace_begin,     // [pixel_count] where each ray's words begin
-    global uint *restrict trace,                 // cells, and TRACE_TEST | prim_id, in the order of reading; or 0
+    global uint *restrict trace,                 // cells, and TRACE_* | prim_id, in the order of reading; or 0
     global uint *restrict trace_counts,          // [pixel_count] words of each ray; 0 where it misses the grid
 #endif
 #if COUNTERS
@@ -127,7 +127,7 @@ kernel void traverse_grid(
 #endif
         meet_triangle(&s, prim_id, &ray);
 #if TRACE
-        if (words != 0) words[written] = TRACE_TEST | prim_id;
+        if (words != 0) words[written] = TRACE_TEST | ray.reached | prim_id;
         ++written;
 #endif
       }

@@ -132,7 +132,13 @@ RAY_BLOCK = 8
 """A work item of traverse_grid takes a square of this many rays a side, one after the other."""
 
 TRACE_TEST = 0x80000000
-"""Of a word that a ray writes down: it is a triangle that was tested, else a cell that was entered."""
+"""Of a word that a ray writes down: it is a triangle that was tested, else a cell that was entered;"""
+
+TRACE_IN_BOUND = 0x40000000
+"""of such a triangle: its bound holds the sample, so that its nearness was read;"""
+
+TRACE_EVALUATED = 0x20000000
+"""and its edge functions were evaluated."""
 
 RAY_TRAVERSING = 0
 """States of a ray in passes: it looks for cells with triangles,"""

@@ -1,8 +1,8 @@
 """What the rays of a frame read, one word after the other, and the passes that they would take.
 
-Purcell et al., 'Ray Tracing on Programmable Graphics Hardware', section 4.1: functional simulators whose traces of memory
-references the costs are counted from. Here the branching kernel itself writes down which cells each ray entered and which
-triangles it was tested against; passes under any oracle follow from that (the device's passes are equal: a test).
+Purcell et al., 'Ray Tracing on Programmable Graphics Hardware', section 4.1: functional simulators whose traces of
+memory references the costs are counted from. Here the branching kernel itself writes down which cells each ray entered
+and which triangles it was tested against; passes under any oracle follow from that (the device's are as many: a test).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clrast.opencl.layout import TRACE_TEST
+from clrast.opencl.layout import TRACE_EVALUATED, TRACE_IN_BOUND, TRACE_TEST
 from clrast.visibility.grid_passes import INTERSECT, TRAVERSE, PassCounts, choose_pass
 from clrast.visibility.oracles import OracleChoice
 
@@ -23,12 +23,14 @@ class Trace:
 
     begin : (ray_count + 1,) int64, where each ray's words begin. places : (word_count,) int64, cell or prim_id.
     is_test : (word_count,) bool, whether the word is a triangle that was tested, else a cell that was entered.
+    reached : (word_count,) uint8, of a test: 0 its bound alone was read, 1 its nearness too, 2 its edges too.
     pixels : (ray_count,) int64, pixel of the image of each ray.
     """
 
     begin: np.ndarray
     places: np.ndarray
     is_test: np.ndarray
+    reached: np.ndarray
     pixels: np.ndarray
 
     @property
@@ -54,21 +56,25 @@ class Trace:
         lengths = (self.begin[1:] - self.begin[:-1])[rays]
         begin = np.concatenate([[0], np.cumsum(lengths)])
         where = np.repeat(self.begin[:-1][rays] - begin[:-1], lengths) + np.arange(begin[-1])
-        return Trace(begin, self.places[where], self.is_test[where], self.pixels[rays])
+        return Trace(begin, self.places[where], self.is_test[where], self.reached[where], self.pixels[rays])
 
 
 def make_trace(counts: np.ndarray, words: np.ndarray) -> Trace:
     """From what GridRaycaster.trace returns."""
     begin = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
-    places = (words & np.uint32(~TRACE_TEST & 0xFFFFFFFF)).astype(np.int64)
-    return Trace(begin, places, (words & np.uint32(TRACE_TEST)) != 0, np.arange(len(counts), dtype=np.int64))
+    is_test = (words & np.uint32(TRACE_TEST)) != 0
+    flags = np.uint32(TRACE_TEST | TRACE_IN_BOUND | TRACE_EVALUATED)
+    places = np.where(is_test, words & ~flags, words).astype(np.int64)
+    reached = ((words & np.uint32(TRACE_IN_BOUND)) != 0).astype(np.uint8) + ((words & np.uint32(TRACE_EVALUATED)) != 0)
+    reached[~is_test] = 0
+    return Trace(begin, places, is_test, reached, np.arange(len(counts), dtype=np.int64))
 
 
 @dataclass(frozen=True)
 class Pass:
     """One pass: its kind, the rays in it, and the words that they read, in the order of the stream and of the loop.
 
-    rays : (active,) int64. word_rays, words : (words,) int64, for each word that is read the ray and its place.
+    rays : (active,) int64, in the order of the stream. words : (word_count,) int64, places in the trace, ray by ray.
     """
 
     kind: str

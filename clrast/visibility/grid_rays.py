@@ -139,9 +139,9 @@ class GridRaycaster(TileRasterizer):
         self.launches += 1
 
     def trace(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the rays of the band read: ((pixel_count,) uint32 words of each ray, their words one ray after the other).
+        """What the rays of the band read: (pixel_count,) uint32 words of each ray, and the words one ray after the other.
 
-        A word is a cell that was entered, or TRACE_TEST | prim_id of a triangle that was tested. Waits.
+        A word is a cell that was entered, or TRACE_* | prim_id of a triangle that was tested. Waits.
         """
         program = kernels.build(self.device, "traverse_grid.cl", replace(self.features, trace=True))
         pixel_count = self.band_pixel_count()
