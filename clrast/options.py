@@ -379,11 +379,11 @@ class RenderOptions:
             raise UsageError(f"--grid-resolution is of methods with a grid: use --method {listed(GRID_METHODS)}")
         if self.method == AUTO or self.accelerator == "auto":
             return
-        if (self.accelerator == "grid") != (self.method in GRID_METHODS):
-            if self.accelerator == "grid":
-                raise UsageError(f"--accelerator grid is not that of {self.method}: use --method {listed(GRID_METHODS)}")
-            if self.method in GRID_METHODS:
-                raise UsageError(f"--accelerator bvh is not that of {self.method}: leave it out, or name another method")
+        is_named, mend = self.method in GRID_METHODS, "leave it out, or name another method"
+        if self.accelerator == "grid" and not is_named:
+            raise UsageError(f"--accelerator grid is not that of {self.method}: use --method {listed(GRID_METHODS)}")
+        if self.accelerator == "bvh" and is_named:
+            raise UsageError(f"--accelerator bvh is not that of {self.method}: {mend}")
 
 
 OPTION_NAMES = tuple(each.name for each in fields(RenderOptions))

@@ -119,7 +119,7 @@ Accelerator = Annotated[
     Texts,
     _option(
         "--accelerator", metavar="NAME",
-        text="auto [default], what the method has; grid or bvh: with --method auto a method that has one.",
+        text="auto [default], or bvh; grid: with --method auto raycast-grid. Secondary rays go through the BVH.",
         panel=METHOD,
     ),
 ]  # fmt: skip

@@ -2,7 +2,7 @@
 
 Purcell et al., 'Ray Tracing on Programmable Graphics Hardware', section 4.1 (64 KB, lines of 48 bytes: four RGB texels
 of floats; kernels run as through a pipeline of one pixel), Fig. 9, and section 5.3 (tile by tile). Reads go through the
-cache, streams too, since they are textures; writes do not.
+cache, streams too, since they are textures; writes do not. A fetch is of the line that its first byte is in.
 """
 
 from __future__ import annotations
@@ -141,7 +141,12 @@ READS = {"traverse": ("rays", "cells"), "intersect": ("rays", "nearness", "visib
 
 
 def multipass_accesses(
-    memory: Memory, trace: Trace, choice: OracleChoice, steps: int, tests: int, tiles: Sequence[np.ndarray] | None = None
+    memory: Memory,
+    trace: Trace,
+    choice: OracleChoice,
+    steps: int,
+    tests: int,
+    tiles: Sequence[np.ndarray] | None = None,
 ) -> Accesses:
     """Pass after pass. tiles : rays of each tile, which is rendered to its end before the next; None: all at once."""
     parts = [trace] if tiles is None else [trace.chosen(rays) for rays in tiles]
