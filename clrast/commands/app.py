@@ -21,6 +21,7 @@ VERBS = {
     "explain": ("clrast.commands.explain", "explain_command", "Which effects a scene calls for, why, at what cost."),
     "diff": ("clrast.commands.diff", "diff_command", "What changed between two images, every part and channel."),
     "compare": ("clrast.commands.compare", "compare_command", "Every method on one scene: time, counts, a plot."),
+    "cost": ("clrast.commands.cost", "cost_command", "Streaming ray tracing on a grid: passes, bytes, cache, a plot."),
     "stress": ("clrast.commands.stress", "stress_command", "Hard cases by every method, against exact arithmetic."),
     "devices": ("clrast.commands.app", "devices_command", "The OpenCL devices, and whether each passes the self-test."),
 }
@@ -32,12 +33,12 @@ EXAMPLES = {
     "explain": "clrast explain room.toml --mode whitted",
     "diff": "clrast diff reference.exr test.exr -o difference.png",
     "compare": "clrast compare bunny.ply -o bunny.svg --size 640x480 --repetitions 5",
+    "cost": "clrast cost bunny.ply -o cost.svg --size 512x512",
     "stress": "clrast stress --failures wrong -o stress.html",
     "devices": "clrast devices --json",
 }
 
 PLANNED = {
-    "cost": "clrast render INPUT --stats FILE.json",
     "accuracy": "clrast render INPUT --precision RUNG and clrast diff",
 }
 """Verbs of the design that this version lacks -> what to use instead."""

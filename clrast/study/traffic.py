@@ -63,7 +63,7 @@ class Traffic:
         return {name: sum(v for (_, kind), v in self.words.items() if kind == name) for name in KINDS}
 
     def a_ray(self, kernel: str) -> dict[str, float]:
-        """Table 1: words that a run of a kernel for one ray reads of its stream (R), writes (W), reads elsewhere (M)."""
+        """Table 1: words that a kernel's run for one ray reads of its stream (R), writes (W), reads elsewhere (M)."""
         count = max(1, self.instances.get(kernel, 0))
         stream = [(k, v) for k, v in self.words.items() if k[0] == kernel and k[1] in (STATE, STENCIL)]
         written = sum(self.written[k] for k, _ in stream)

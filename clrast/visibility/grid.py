@@ -40,10 +40,10 @@ THIN = 2.0**-10
 CELL_BYTES, REFERENCE_BYTES = 8, 4
 """Device bytes: where a cell's list begins and a cursor while building; a reference."""
 
-BALANCE = 0.4
+BALANCE = 2.5
 """References a cell for which traversal and intersection take equal times: C_v / C_t, by `clrast cost`."""
 
-FIRST_DENSITY = 8.0
+FIRST_DENSITY = 1.0
 """Cells a triangle that the automatic choice tries first."""
 
 MAX_TRIALS = 4

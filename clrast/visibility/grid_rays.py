@@ -139,7 +139,7 @@ class GridRaycaster(TileRasterizer):
         self.launches += 1
 
     def trace(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the rays of the band read: (pixel_count,) uint32 words of each ray, and the words, one ray after another.
+        """What the band's rays read: (pixel_count,) uint32 words of each ray, and the words, one ray after another.
 
         A word is a cell that was entered, or TRACE_* | prim_id of a triangle that was tested. Waits.
         """
