@@ -43,7 +43,6 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
         ([], "no command given: use render, diff, compare, stress or devices"),
         (["rendr"], "did you mean render"),
         (["explain", "x.ply"], "'explain' is not available in this version"),
-        (["cost", "x.ply"], "'cost' is not available in this version"),
         (["accuracy", "x.ply"], "'accuracy' is not available in this version"),
         (["--nonsense"], "see 'clrast --help'"),
         (["render"], "INPUT.*see 'clrast render --help'"),

@@ -36,7 +36,7 @@ Show = Callable[[str], None]
 BRANCHING, MULTIPASS = "raycast-grid", "raycast-grid-multipass"
 
 PAPER_ORACLE = OracleChoice("purcell", 20)
-ORACLES = (OracleChoice("naive", 20), OracleChoice("delany", 20), PAPER_ORACLE, OracleChoice("purcell", 30))
+ORACLES = (OracleChoice("naive", 20), OracleChoice("delany", 20), PAPER_ORACLE, OracleChoice("purcell", 40))
 UNROLLED = ((1, 1), (2, 1), (2, 2), (4, 2), (4, 4), (8, 8))
 """(Traversal steps, intersection tests) of a pass; section 4.2 unrolls to (4, 2)."""
 
@@ -270,7 +270,7 @@ def _measure(
     wanted += [(f"grid {each}, purcell:20, unroll {k}", MULTIPASS, each, ("pass=purcell:20", f"unroll={k}"))
                for each in resolutions for k in (1, 4)]  # fmt: skip
     wanted += [(f"grid {middle}, {pick}, unroll {k}", MULTIPASS, middle, (f"pass={pick}", f"unroll={k}"))
-               for pick, k in (("delany", 1), ("delany", 2), ("naive", 4), ("purcell:30", 2))]  # fmt: skip
+               for pick, k in (("delany", 1), ("delany", 2), ("naive", 4), ("purcell:40", 2))]  # fmt: skip
     jobs: list[tuple[str, int, RenderJob]] = []
     counted: dict[int, tuple[float, float]] = {}
     for name, method, resolution, oracle in wanted:

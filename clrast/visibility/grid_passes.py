@@ -2,8 +2,8 @@
 
 Purcell et al., 'Ray Tracing on Programmable Graphics Hardware', section 3.2 (its oracles, after Delany's ray tracer for
 the Connection Machine) and 4.2 (Table 2, unrolled loops). The kernels are in cl/pass_rays.cl. Which pass comes next
-changes the number of passes and no bit of the image. The paper's threshold of 20 % is the setting `purcell`; 30 % took
-0.97 of its passes over seven views (geometric mean; 0.85 to 1.04), and is what the method has.
+changes the number of passes and no bit of the image. The paper's threshold of 20 % is the setting `purcell`; 40 % took
+0.91 of its passes over seven views (geometric mean; at most 1.01), and is what the method has.
 """
 
 from __future__ import annotations

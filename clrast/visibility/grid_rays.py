@@ -147,7 +147,8 @@ class GridRaycaster(TileRasterizer):
         pixel_count = self.band_pixel_count()
         counts = buffers.create(self.device, 4 * pixel_count)
         buffers.fill(self.device, counts, np.uint32(0), 4 * pixel_count)
-        begin, words = np.zeros(pixel_count, dtype=np.uint64), None
+        begin, total = np.zeros(pixel_count, dtype=np.uint64), 0
+        words: cl.Buffer | None = None
         for is_counting in (True, False):
             super()._decide_samples(0, None)
             where = buffers.upload(self.device, begin.astype(np.uint32))
@@ -158,6 +159,7 @@ class GridRaycaster(TileRasterizer):
                 ends = np.cumsum(found, dtype=np.uint64)
                 begin, total = ends - found, int(ends[-1])
                 words = buffers.create(self.device, 4 * max(1, total))
+        assert words is not None
         return found, buffers.download(self.device, words, np.uint32, total)
 
     def band_pixel_count(self) -> int:

@@ -127,7 +127,7 @@ METHODS: Mapping[str, Method] = MappingProxyType({
         _grid_row("raycast-grid", "one ray at a time through the uniform grid, branching", "Purcell 3.1",
                   ("mailbox=never",)),
         _grid_row("raycast-grid-multipass", "the same in passes over streams of rays, chosen by the host",
-                  "Purcell 3.2", ("pass=purcell:30", "unroll=4"), passes=True),
+                  "Purcell 3.2", ("pass=purcell:40", "unroll=4"), passes=True),
         _row("raycast-brute", "a loop over triangles for each vector of rays (Durand, section 3)", "Durand 3, 4",
              Edges.SPATIAL, _NOTHING, frustum=4),
     )
