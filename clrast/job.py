@@ -31,6 +31,9 @@ from clrast.visibility.bvh import Bvh, build_bvh
 from clrast.visibility.cost_model import DEFAULT, StageTimes, ViewCounts
 from clrast.visibility.frusta import FrustumTraversal, stack_capacity, traversal_bytes
 from clrast.visibility.geometry import build_geometry
+from clrast.visibility.grid import Grid, GridBuilder
+from clrast.visibility.grid_passes import STATE_BYTES, GridPasses
+from clrast.visibility.grid_rays import GRID_SHARE, GridRaycaster, check_loops, grid_view_bytes
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import AUTO, SNAPPED_DEFAULT, Method, resolve_method
 from clrast.visibility.sample_passes import SamplePasses
@@ -73,6 +76,8 @@ def hierarchy_of(scene: Scene) -> tuple[Bvh, float]:
 
 def named_method(options: RenderOptions) -> Method:
     """The method that the options name, with their oracles; the default one for `auto`."""
+    if options.method == AUTO and options.accelerator == "grid":
+        return resolve_method("raycast-grid", evaluation=options.evaluation)
     if options.method == AUTO:
         default = SNAPPED_DEFAULT if options.precision == "fixed" else DEFAULT
         return resolve_method(default, evaluation=options.evaluation)
@@ -83,7 +88,7 @@ def named_method(options: RenderOptions) -> Method:
 
 def square_log2(device: Device, method: Method, pixel_count: int) -> int:
     """Side of the tiles or root frusta that a work item takes, as a power of two."""
-    if method.tiles:
+    if method.tiles or method.grid:
         large = pixel_count >= LARGE_IMAGE and loop_limit(device) is None
         return TILE_LOG2_LARGE if large else TILE_LOG2_SMALL
     side_log2 = method.frustum.bit_length() - 1
@@ -111,7 +116,7 @@ def make_features(
         precision=Precision[options.precision.upper()],
         float64=device.has_fp64,
         projection=Projection[vectors.projection.upper()],
-        keep_nearness=plan["alpha blend"] or limited,
+        keep_nearness=plan["alpha blend"] or limited or method.grid,
         prefetch=device.runtime in PREFETCHING,
         alpha_mask=plan["alpha mask"],
         alpha_blend=plan["alpha blend"],
@@ -126,10 +131,10 @@ def make_features(
         refraction=plan["refraction"],
         indirect=plan["indirect light"],
         counters=options.counters or "cost" in options.aov,
-        node_bounds=not method.tiles,
+        node_bounds=not (method.tiles or method.grid),
         leaf_order=method.needs_bvh,
         stack_capacity=stack_capacity(bvh.depth, tile_log2) if bvh is not None else 1,
-        resumable=not method.tiles and limited,
+        resumable=not (method.tiles or method.grid) and limited,
     ))
 
 
@@ -151,6 +156,8 @@ class RenderJob:
         self.method = method or named_method(options)
         self.reason: str | None = None
         self.trial_ms = 0.0
+        if self.method.grid:
+            check_loops(device)
         traces_rays = plan["secondary acceleration structure"]
         needs_bvh = self.method.needs_bvh or traces_rays
         hierarchy, self.times["build"] = hierarchy_of(scene) if needs_bvh else (None, 0.0)
@@ -169,6 +176,7 @@ class RenderJob:
         self.surfaces = SurfaceBuffers(device, scene, plan, reads_uv="uv" in self.groups)
         self.times["upload"] = 1000 * (time.perf_counter() - started)
         self.scene_bytes = self.geometry.nbytes + self.surfaces.nbytes
+        self.grid = self._build_grid() if self.method.grid else None
         self.integrator = self._make_integrator(hierarchy, accumulation)
         self.bands = self._plan_bands()
         check_bands(self.options, len(self.bands))
@@ -197,6 +205,22 @@ class RenderJob:
         self.scene_bytes += made.nbytes
         return made
 
+    @property
+    def _budget(self) -> int:
+        """Bytes of device memory that all buffers may take."""
+        return self.options.memory or int(MEMORY_SHARE * self.device.global_memory_bytes)
+
+    def _build_grid(self) -> Grid:
+        started = time.perf_counter()
+        low, high = self.scene.bounding_box()
+        scale = float(self.view["world_scale"])
+        budget = int(GRID_SHARE * (self._budget - self.scene_bytes))
+        count, corners = self.scene.triangle_count, self.geometry.corners
+        builder = GridBuilder(self.device, self.features, corners, count, scale * low, scale * high, budget)
+        grid = builder.build(self.options.grid_resolution)
+        self.times["build"] += 1000 * (time.perf_counter() - started)
+        return grid
+
     def _make_contenders(self) -> ContenderList | None:
         if not self.features.filtered:
             return None
@@ -207,6 +231,11 @@ class RenderJob:
     def _make_visibility(self) -> TileRasterizer | FrustumTraversal:
         masks = self.surfaces.named(*MASK_ARGUMENTS)
         common = (self.view, self.geometry, masks, self.bands.band_rows, self.work, self.contenders)
+        if self.grid is not None and self.method.passes:
+            choice = self.method.rays["pass"]
+            return GridPasses(self.device, self.features, *common, grid=self.grid, choice=choice)
+        if self.grid is not None:
+            return GridRaycaster(self.device, self.features, *common, grid=self.grid)
         if self.method.tiles:
             return TileRasterizer(self.device, self.features, *common)
         return FrustumTraversal(self.device, self.features, self.method, *common)
@@ -218,13 +247,17 @@ class RenderJob:
             per_pixel += 4 * planes
         if self.plan["alpha blend"]:
             per_pixel += 4 + 4 * planes
+        if self.method.passes:
+            per_pixel += STATE_BYTES
         if self.features.counters:
             per_pixel += 4 * COST_PLANES
         if self.integrator is not None:
             per_pixel += self.integrator.bytes_per_pixel()
         resolving, piece = resolver_bytes(self.options, self.plan["alpha blend"])
         fixed, of_square = 0, 0
-        if not self.method.tiles:
+        if self.grid is not None:
+            fixed = self.grid.nbytes + grid_view_bytes(self.scene.triangle_count)
+        elif not self.method.tiles:
             fixed, of_square = traversal_bytes(self.features, self.geometry.bvh, self.scene.triangle_count)
         if self.features.filtered:
             width, height = self.options.size
@@ -236,7 +269,7 @@ class RenderJob:
             square_bytes=of_square,
             pixel_bytes=per_pixel + resolving,
             piece_bytes=max(4, piece, 4 * len(channel_names(self.groups)), 0 if self.integrator is None else 32),
-            budget=self.options.memory or int(MEMORY_SHARE * self.device.global_memory_bytes),
+            budget=self._budget,
             max_piece=self.device.max_allocation_bytes,
             limited=loop_limit(self.device) is not None,
         )
@@ -411,7 +444,7 @@ class RenderJob:
                 "hits": self.hit_count,
                 "rays_primary": self.samples_decided,
                 **(no_rays() if self.integrator is None else self.integrator.counts),
-                "traversal_steps": 0 if not self.method.needs_bvh else None,
+                "traversal_steps": None if self.method.needs_bvh or self.method.grid else 0,
                 "kernel_launches": self.launches,
                 "passes": self.passes,
                 **counted,
@@ -420,6 +453,7 @@ class RenderJob:
                 **{"bands": self.band_count, "tile_references": self.reference_peak, **more_counted},
                 **({} if self.resolver is None else self.resolver.counts),
                 **({} if self.contenders is None else self.contenders.counts),
+                **(self.tiles.counts() if isinstance(self.tiles, GridRaycaster) else {}),
             },
             "times_ms": {
                 **{stage: 0.0 for stage in ("build", "setup", "bin", "visibility", "shade", "resolve", "plan")},

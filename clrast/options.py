@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from clrast.errors import UsageError
+from clrast.opencl.constants import MAX_GRID_SIDE
 from clrast.quality import PRESETS, with_preset
 from clrast.visibility.methods import AUTO, SNAPPED_METHODS, resolve_method
 from clrast.visibility.methods import METHODS as METHOD_TABLE
@@ -24,8 +25,9 @@ from clrast.visibility.sample_patterns import FILTERS, parse_antialiasing
 PRECISIONS = ("fast", "ordered", "midpoint", "double", "fixed", "exact")
 AVAILABLE_PRECISIONS = PRECISIONS
 AVAILABLE_METHODS = (AUTO, *METHOD_TABLE)
-METHODS = (*AVAILABLE_METHODS[:-1], "raycast-grid", "raycast-grid-multipass", AVAILABLE_METHODS[-1])
-"""In the order of the design, which lists those over a grid before the last."""
+METHODS = AVAILABLE_METHODS
+"""In the order of the design."""
+GRID_METHODS = tuple(name for name, row in METHOD_TABLE.items() if row.grid)
 MODES = ("cast", "shadow", "whitted", "path")
 PROJECTIONS = ("perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube")
 AVAILABLE_PROJECTIONS = ("perspective", "orthographic")
@@ -235,13 +237,6 @@ def _count(low: int, high: int) -> Callable[[str, Any], int]:
     return lambda option, value: parse_count(option, value, low, high)
 
 
-def _refused(mend: str) -> Callable[[str, Any], Any]:
-    def refuse(option: str, value: Any) -> Any:
-        raise UnavailableError(f"{option} is not available in this version; {mend}")
-
-    return refuse
-
-
 def _text(option: str, value: Any) -> str:
     if not isinstance(value, str) or not value:
         raise UsageError(f"{option} {value!r} is empty or no text: leave it out for the default")
@@ -278,11 +273,11 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "samples": _count(1, 1 << 24),
     "seed": _count(0, MAX_SEED),
     "intersection": _choice(("edge", "barycentric")),
-    "accelerator": _choice(("auto", "grid", "bvh"), ("auto", "bvh")),
+    "accelerator": _choice(("auto", "grid", "bvh")),
     "oracle": _parse_oracle,
     "max_depth": _count(0, MAX_DEPTH),
     "quality": _choice(QUALITIES),
-    "grid_resolution": _refused("leave it out, as no method here uses a grid"),
+    "grid_resolution": _count(1, MAX_GRID_SIDE),
     "time_budget": _parse_budget,
     "resume": _text,
 }
@@ -370,10 +365,24 @@ class RenderOptions:
                 f"--precision fixed snaps projected vertices, and {self.method} projects none: "
                 f"use --method {listed(SNAPPED_METHODS)}, or another rung"
             )
+        self._check_accelerator()
         if self.filter != "box" and self.aa.startswith("auto"):
             raise UsageError(f"--filter {self.filter} needs as many samples in each pixel: use --aa ssaa:N or msaa:N")
         if self.shading_rate == "sample" and self.aa.startswith("csaa"):
             raise UsageError("--shading-rate sample: csaa's coverage samples have no shading: use --aa msaa:N")
+
+
+    def _check_accelerator(self) -> None:
+        is_grid = self.method in GRID_METHODS or (self.method == AUTO and self.accelerator == "grid")
+        if self.grid_resolution is not None and not is_grid:
+            raise UsageError(f"--grid-resolution is of methods with a grid: use --method {listed(GRID_METHODS)}")
+        if self.method == AUTO or self.accelerator == "auto":
+            return
+        is_named, mend = self.method in GRID_METHODS, "leave it out, or name another method"
+        if self.accelerator == "grid" and not is_named:
+            raise UsageError(f"--accelerator grid is not that of {self.method}: use --method {listed(GRID_METHODS)}")
+        if self.accelerator == "bvh" and is_named:
+            raise UsageError(f"--accelerator bvh is not that of {self.method}: {mend}")
 
 
 OPTION_NAMES = tuple(each.name for each in fields(RenderOptions))

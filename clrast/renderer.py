@@ -109,7 +109,7 @@ def start_job(
 ) -> RenderJob:
     """The job of the method that the options name; with `auto` the fastest, by frames of the view itself."""
     job = RenderJob(device, scene, vectors, options, plan, accumulation=accumulation)
-    if options.method != AUTO:
+    if options.method != AUTO or options.accelerator == "grid":
         return job
     if options.precision == "fixed":
         job.reason = f"{SNAPPED_DEFAULT}: --precision fixed is for projected vertices"

@@ -19,6 +19,8 @@ from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Material, Scene
 from clrast.shading.effects import plan_effects
 from clrast.visibility import screen_bounds
+from clrast.visibility.loop_limits import loop_limit
+from clrast.visibility.methods import METHODS
 
 NO_HIT = layout.NO_HIT
 
@@ -73,6 +75,11 @@ def orthographic(
         tangent_x=as_float32(ex),
         tangent_y=as_float32(ey),
     )
+
+
+def methods_on(device: Device) -> tuple[str, ...]:
+    """Those that the device is not refused for: grids need loops that no driver ends."""
+    return tuple(name for name, row in METHODS.items() if not row.grid or loop_limit(device) is None)
 
 
 def make_scene(positions: Any, triangles: Any = None, **fields: Any) -> Scene:

@@ -13,7 +13,7 @@ import clrast
 from clrast.__main__ import main
 from clrast.commands.stats import COUNTS
 from clrast.options import AVAILABLE_METHODS
-from clrast.visibility.oracles import ORACLES
+from clrast.visibility.oracles import ORACLES, RAY_ORACLES
 
 
 @pytest.fixture
@@ -34,11 +34,11 @@ def square(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--method", "raycast-grid"], "--method raycast-grid is not available in this version; use auto, 2dr-brute"),
-        (["--method", "raycast-grid-multipass"], "not available in this version"),
+        (["--method", "raycast-grid", "--grid-resolution", "0"], "give a whole number from 1 to 1023"),
+        (["--grid-resolution", "64"], "of methods with a grid: use --method raycast-grid or raycast-grid-multipass"),
         (["--method", "raycast-bhv"], "did you mean raycast-bvh"),
         (["--method", "3dr-full", "--method", "auto"], "given as 3dr-full and as auto"),
-        (["--accelerator", "bvh"], "not available in this version"),
+        (["--accelerator", "octree"], "use auto, grid or bvh"),
         (["--oracle", "binning=never"], "name it, such as --method 3dr-full"),
         (["--oracle", "binning=never", "--method", "auto"], "name it, such as --method 3dr-full"),
         (["--method", "3dr-full", "--oracle", "bining=never"], "did you mean binning"),
@@ -90,13 +90,14 @@ def test_a_card_names_the_method_that_options_change(
     assert (options.method, options.intersection, options.oracle) == expected
 
 
-def test_a_card_with_a_method_that_is_not_there(world: World, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_card_with_an_option_that_is_not_there(world: World, capsys: pytest.CaptureFixture[str]) -> None:
     """One of a later version is a warning; one of no version is bad input."""
-    world.scene = make_scene(render_options={"method": "raycast-grid"})
+    world.scene = make_scene(render_options={"effects": "secondary_acceleration_structure=on"})
     assert main(["render", world.source, "-o", world.out(), "-q"]) == 0
     warning = capsys.readouterr().err
-    assert warning.startswith("warning: ") and "--method raycast-grid is not available in this version" in warning
-    assert world.calls[0][1].method == "auto"
+    assert warning.startswith("warning: ")
+    assert "secondary_acceleration_structure=on is not available in this version" in warning
+    assert world.calls[0][1].effects == {}
     world.scene = make_scene(render_options={"method": "raycast-gird"})
     assert "did you mean raycast-grid" in fails(capsys, 65, "render", world.source, "-o", world.out())
 
@@ -106,8 +107,7 @@ def test_help_lists_methods_and_oracles(capsys: pytest.CaptureFixture[str]) -> N
     assert main(["render", "--help"]) == 0
     text = "".join(capsys.readouterr().out.split())
     assert ",".join(AVAILABLE_METHODS[:-1]) + "or" + AVAILABLE_METHODS[-1] in text
-    assert "raycast-grid" not in text
-    for name, oracle in ORACLES.items():
+    for name, oracle in {**ORACLES, **RAY_ORACLES}.items():
         assert f"{name}={'|'.join(oracle.settings)}" in text
     for option in ("--oracleNAME=VALUE", "--intersectionWAY", "--evaluationWAY", "--counters", "frustum=SIDE", "cost("):
         assert option in text

@@ -109,7 +109,7 @@ def test_a_cards_values_yield(world: World, capsys: pytest.CaptureFixture[str]) 
     camera_of(world, "--quality", "final", "--aa", "none")
     assert (world.calls[-1][1].precision, world.calls[-1][1].aa) == (PRESETS["final"]["precision"], "none")
     capsys.readouterr()
-    world.scene = make_scene(render_options={"aa": "ssaa:4", "accelerator": "grid"})
+    world.scene = make_scene(render_options={"aa": "ssaa:4", "effects": "secondary_acceleration_structure=on"})
     camera_of(world)
     printed = capsys.readouterr().err.splitlines()
     assert [line.split(":")[0] for line in printed] == ["warning"]

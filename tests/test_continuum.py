@@ -26,7 +26,7 @@ from continuum_world import (
 from edge_error import near_edges
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kernel_world import NO_HIT, make_scene, orthographic, perspective, render, start
+from kernel_world import NO_HIT, make_scene, methods_on, orthographic, perspective, render, start
 
 from clrast import job as job_module
 from clrast import renderer
@@ -90,6 +90,8 @@ def some(*names: str) -> dict[str, Point]:
 
 @pytest.mark.parametrize("name", ROWS)
 def test_every_method_gives_the_same_image(device: Device, name: str) -> None:
+    if name not in methods_on(device):
+        pytest.skip(f"{device.runtime} ends long loops early: grids are refused there")
     check(device, some(name))
 
 
@@ -165,7 +167,7 @@ def test_any_triangles(device: Device) -> None:
     def same(corners: list) -> None:
         scene = make_scene(np.array(corners).reshape(-1, 3))
         right = images(device, scene, view, REFERENCE)
-        for name in ROWS:
+        for name in ROWS.keys() & methods_on(device):
             assert differences(images(device, scene, view, ROWS[name]), right) == "", name
 
     same()

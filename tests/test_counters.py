@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from continuum_world import ROWS, differences, glass_and_leaves, images, oblique, soup
-from kernel_world import NO_HIT, make_scene, orthographic, start
+from kernel_world import NO_HIT, make_scene, methods_on, orthographic, start
 
 from clrast import job as job_module
 from clrast.job import RenderJob
@@ -245,6 +245,8 @@ def test_a_second_frame_counts_the_same(device: Device) -> None:
 @pytest.mark.parametrize("method", ROWS)
 def test_counters_change_no_pixel(device: Device, method: str) -> None:
     """Nor does counting cost a driver that limits loops its image."""
+    if method not in methods_on(device):
+        pytest.skip(f"{device.runtime} ends long loops early: grids are refused there")
     scene, view = make_scene(soup(8, 160)), oblique("perspective", 80, 48)
     right = images(device, scene, view, ROWS["3dr-binning"])
     assert differences(images(device, scene, view, ROWS[method], counters=True), right) == ""
@@ -324,12 +326,14 @@ def test_the_columns_of_counters_are_named_in_their_order() -> None:
 def test_every_method_of_the_table_counts(device: Device) -> None:
     """Only what a method does is counted, and all of it."""
     scene = hidden_heap(60, 0.1)
-    for name in ROWS:
+    for name in ROWS.keys() & methods_on(device):
         _, found = counts(device, scene, name)
         method = resolve_method(name)
-        assert found["setups"] >= 2 and found["edge_evaluations"] >= found["intersection_tests"] >= SIDE * SIDE
+        assert found["setups"] >= 2 and found["intersection_tests"] >= SIDE * SIDE
+        # A ray through a grid is tested by a triangle's bound and nearness before its edges are evaluated.
+        assert method.grid or found["edge_evaluations"] >= found["intersection_tests"]
         assert found["samples_covered"] >= found["samples_written"] >= found["hits"] == SIDE * SIDE
         splits = method.oracles["split_frustum"].setting != "never"
         assert (found["frusta_split"] > 0) == (splits and not method.tiles), name
-        assert (found["traversal_steps"] > 0) == method.needs_bvh
+        assert (found["traversal_steps"] > 0) == (method.needs_bvh or method.grid)
         assert job_module.square_log2(device, method, SIDE * SIDE) >= 2

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import reference as ref
 from adversarial_worlds import FAMILIES, World, full_mantissas, make_world
-from kernel_world import NO_HIT, make_scene, orthographic, perspective, settings, start
+from kernel_world import NO_HIT, make_scene, methods_on, orthographic, perspective, settings, start
 
 from clrast.errors import CapacityError, DeviceError
 from clrast.job import RenderJob
@@ -107,7 +107,7 @@ def test_methods_see_the_exact_triangle_at_every_sample(builder: Device) -> None
 @pytest.mark.parametrize("projection", PROJECTIONS)
 @pytest.mark.parametrize("evaluation", ["direct", "incremental"])
 def test_every_method_in_every_setting(device: Device, projection: str, evaluation: str) -> None:
-    wrong, _ = faults(device, some_worlds(FAMILIES, projection, [1]), list(METHODS), evaluation=evaluation)
+    wrong, _ = faults(device, some_worlds(FAMILIES, projection, [1]), methods_on(device), evaluation=evaluation)
     assert not wrong, "\n".join(wrong)
 
 
@@ -153,7 +153,7 @@ def test_a_tiny_world(device: Device, projection: str) -> None:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_ten_million_samples(device: Device, family: str) -> None:
     """Large views of many worlds, by a method that changes with the seed."""
-    names, wrong, sample_count = list(METHODS), [], 0
+    names, wrong, sample_count = methods_on(device), [], 0
     for seed in range(100, 100 + LONG_SEEDS if device.runtime == "pocl" else 104):
         world = world_and_answer.__wrapped__(family, seed, None, 200)
         found, counts = faults(device, [world], [names[seed % len(names)]])

@@ -24,7 +24,7 @@ from clrast.shading.effects import plan_effects
 from clrast.visibility import methods, oracles
 from clrast.visibility.frusta import stack_capacity
 from clrast.visibility.methods import METHODS, Method, resolve_method
-from clrast.visibility.oracles import FRUSTUM_SIDES, ORACLES, OracleChoice, parse_oracle
+from clrast.visibility.oracles import FRUSTUM_SIDES, ORACLES, RAY_ORACLES, OracleChoice, parse_oracle
 
 ORACLE_SETTINGS = [(name, setting) for name, oracle in ORACLES.items() for setting in oracle.settings]
 
@@ -45,13 +45,15 @@ def test_a_row_says_all_that_there_is_to_say(name: str) -> None:
     assert list(method.oracles) == list(ORACLES)
     assert all(choice.setting in ORACLES[each].settings for each, choice in method.oracles.items())
     assert method.frustum in [4, 8, 16, 32, 64, 128, 256] and method.evaluation == "direct"
-    assert (method.needs_bvh, method.is_brute, method.tiles).count(True) == 1
+    assert (method.needs_bvh, method.is_brute, method.tiles, method.grid).count(True) == 1
+    assert all(choice.setting in RAY_ORACLES[each].settings for each, choice in method.rays.items())
+    assert method.grid == bool(method.rays) and method.passes == ("pass" in method.rays)
     assert (method.edges == Edges.SPATIAL) == name.startswith(("3dr-", "raycast-"))
 
 
 def test_no_two_methods_are_the_same_point() -> None:
     points = Counter(
-        (m.edges, m.tiles, m.frustum, m.evaluation, *(m.oracles[name].setting for name in ORACLES))
+        (m.edges, m.tiles, m.grid, m.passes, m.frustum, m.evaluation, *(m.oracles[name].setting for name in ORACLES))
         for m in METHODS.values()
     )
     assert set(points.values()) == {1}
@@ -87,7 +89,7 @@ def test_features_take_what_the_method_decides_and_nothing_else(name: str) -> No
     method = METHODS[name]
     before = Features(vector_width=8, counters=True, alpha_mask=True, tile_log2=4)
     after = method.configure(before)
-    decided = {"edges", "evaluation", *ORACLES}
+    decided = {"edges", "evaluation", *ORACLES, *(("unroll_steps", "unroll_tests") if method.passes else ())}
     assert all(getattr(after, f.name) == getattr(before, f.name) for f in fields(Features) if f.name not in decided)
     assert after.edges == method.edges and after.evaluation == layout.EVALUATION_DIRECT
     for each, choice in method.oracles.items():
@@ -171,6 +173,9 @@ def test_methods_of_tiles_have_no_oracles_to_change(name: str) -> None:
         ("split_frustum=small:1", ("split_frustum", OracleChoice("small", 1))),
         ("frustum=4", ("frustum", OracleChoice("side", 4))),
         ("frustum=256", ("frustum", OracleChoice("side", 256))),
+        ("pass=purcell:35", ("pass", OracleChoice("purcell", 35))),
+        ("unroll=4:2", ("unroll", OracleChoice("4", 2))),
+        ("mailbox=boxes", ("mailbox", OracleChoice("boxes", 16))),
     ],
 )
 def test_oracle_texts(text: str, expected: tuple[str, OracleChoice]) -> None:
@@ -201,6 +206,8 @@ def test_oracle_texts(text: str, expected: tuple[str, OracleChoice]) -> None:
         ("frustum=8.0", "give a power of two from 4 to 256"),
         ("frustum=٨", "give a power of two from 4 to 256"),
         ("frustum=", "give a power of two from 4 to 256"),
+        ("unroll=3", "use 1 or 2 or 4 or 8"),
+        ("pass=purcell:101", "out of range: give 1 to 100"),
     ],
 )
 def test_oracle_texts_that_are_refused(text: str, message: str) -> None:
@@ -215,7 +222,9 @@ def test_any_oracle_text_is_parsed_or_refused(text: str) -> None:
         name, choice = parse_oracle("--oracle", text)
     except UsageError:
         return
-    if name == "frustum":
+    if name in RAY_ORACLES:
+        assert choice.setting in RAY_ORACLES[name].settings
+    elif name == "frustum":
         assert FRUSTUM_SIDES[0] <= choice.number <= FRUSTUM_SIDES[1] and choice.number.bit_count() == 1
     else:
         assert choice.setting in ORACLES[name].settings
@@ -254,5 +263,6 @@ def test_the_stack_holds_the_deepest_traversal(frustum_log2: int) -> None:
 def test_meanings_are_said_once() -> None:
     """No two settings, oracles or methods share a sentence: what the help lists can be told apart."""
     said = [meaning for oracle in oracles.ORACLES.values() for _, meaning in oracle.settings.values()]
-    said += [oracle.meaning for oracle in ORACLES.values()] + [method.meaning for method in METHODS.values()]
+    said += [oracle.meaning for oracle in (*ORACLES.values(), *RAY_ORACLES.values())]
+    said += [method.meaning for method in METHODS.values()]
     assert len(set(said)) == len(said)

@@ -141,14 +141,6 @@ def test_fov_is_inside_0_and_180(degrees: float) -> None:
     ("name", "value", "message"),
     [
         (
-            "method",
-            "raycast-grid",
-            "--method raycast-grid is not available in this version; use auto, .* or raycast-brute",
-        ),
-        ("method", "raycast-grid-multipass", "raycast-grid-multipass is not available in this version; use auto, "),
-        ("accelerator", "grid", "--accelerator grid is not available"),
-        ("grid_resolution", "64", "--grid-resolution is not available"),
-        (
             "effects",
             "secondary_acceleration_structure=on",
             "secondary_acceleration_structure=on is not available in this version; use auto or off",
@@ -205,6 +197,13 @@ def test_nonsense_is_refused_with_what_is_allowed(name: str, value: str, message
         ({"oracle": "binning=never", "method": "2dh-binning"}, "use a frustum method"),
         ({"intersection": "barycentric"}, "--intersection barycentric is of --method raycast-brute: give that method"),
         ({"intersection": "barycentric", "method": "3dr-full"}, "is of --method raycast-brute: give that method"),
+        ({"grid_resolution": "64"}, "--grid-resolution is of methods with a grid: use --method raycast-grid or"),
+        ({"grid_resolution": "64", "method": "3dr-full"}, "is of methods with a grid: use --method raycast-grid or"),
+        ({"accelerator": "grid", "method": "3dr-full"}, "not that of 3dr-full: use --method raycast-grid or raycast-"),
+        ({"accelerator": "bvh", "method": "raycast-grid"}, "not that of raycast-grid: leave it out"),
+        ({"oracle": "pass=naive", "method": "raycast-grid"}, "--oracle pass: raycast-grid has no rays that ask it"),
+        ({"oracle": "mailbox=never", "method": "3dr-full"}, "3dr-full has no rays .*: use --method raycast-grid$"),
+        ({"oracle": "frustum=8", "method": "raycast-grid"}, "has rays in place of frusta: use mailbox"),
     ],
 )
 def test_what_does_not_go_together_says_what_does(values: dict[str, str], message: str) -> None:
@@ -218,7 +217,7 @@ def test_what_does_not_go_together_says_what_does(values: dict[str, str], messag
 def test_what_is_there_is_taken() -> None:
     for method in o.AVAILABLE_METHODS:
         assert RenderOptions(method=method, evaluation="incremental", counters=True, aov="cost").aov == ("cost",)
-    assert set(o.METHODS) - set(o.AVAILABLE_METHODS) == {"raycast-grid", "raycast-grid-multipass"}
+    assert o.METHODS == o.AVAILABLE_METHODS
     made = RenderOptions(method="raycast-brute", intersection="barycentric", oracle=["frustum=8", "binning=blocks"])
     assert (made.intersection, made.oracle) == ("barycentric", ("frustum=8", "binning=blocks"))
 

@@ -12,7 +12,7 @@ import typer
 from clrast import __version__
 from clrast.commands import messages
 from clrast.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
-from clrast.options import UnavailableError, did_you_mean, listed
+from clrast.options import did_you_mean, listed
 
 ABOUT = "Render triangle scenes with portable OpenCL kernels: the same bits on every machine."
 
@@ -22,6 +22,7 @@ VERBS = {
     "diff": ("clrast.commands.diff", "diff_command", "What changed between two images, every part and channel."),
     "compare": ("clrast.commands.compare", "compare_command", "Every method on one scene: time, counts, a plot."),
     "accuracy": ("clrast.commands.accuracy", "accuracy_command", "Error against time for every knob, on one scene."),
+    "cost": ("clrast.commands.cost", "cost_command", "Streaming ray tracing on a grid: passes, bytes, cache, a plot."),
     "stress": ("clrast.commands.stress", "stress_command", "Hard cases by every method, against exact arithmetic."),
     "devices": ("clrast.commands.app", "devices_command", "The OpenCL devices, and whether each passes the self-test."),
 }
@@ -34,14 +35,10 @@ EXAMPLES = {
     "diff": "clrast diff reference.exr test.exr -o difference.png",
     "compare": "clrast compare bunny.ply -o bunny.svg --size 640x480 --repetitions 5",
     "accuracy": "clrast accuracy bunny.ply --time 2 --html bunny.html -o bunny.svg",
+    "cost": "clrast cost bunny.ply -o cost.svg --size 512x512",
     "stress": "clrast stress --failures wrong -o stress.html",
     "devices": "clrast devices --json",
 }
-
-PLANNED = {
-    "cost": "clrast render INPUT --stats FILE.json",
-}
-"""Verbs of the design that this version lacks -> what to use instead."""
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -60,10 +57,8 @@ def invoke(arguments: Sequence[str], started: float) -> int:
     verb = arguments[0] if arguments else ""
     if not verb:
         raise UsageError(f"no command given: use {listed(tuple(VERBS))}, or 'clrast --help'")
-    if verb in PLANNED:
-        raise UnavailableError(f"'{verb}' is not available in this version; use {PLANNED[verb]}")
     if not verb.startswith("-") and verb not in VERBS:
-        hint = did_you_mean(verb, (*VERBS, *PLANNED))
+        hint = did_you_mean(verb, tuple(VERBS))
         raise UsageError(f"there is no command '{verb}': use {listed(tuple(VERBS))}{hint}")
     command = typer.main.get_command(_build(verb))
     try:

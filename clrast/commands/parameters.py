@@ -13,7 +13,7 @@ import typer
 from clrast.options import AVAILABLE_METHODS, listed
 from clrast.options import EFFECTS as EFFECT_NAMES
 from clrast.quality import PRESETS
-from clrast.visibility.oracles import FRUSTUM_SIDES, ORACLES
+from clrast.visibility.oracles import FRUSTUM_SIDES, ORACLES, RAY_ORACLES
 
 Texts = list[str] | None
 
@@ -113,7 +113,9 @@ Oracle = Annotated[
         text="Change one decision of a --method that has no tiles; may be given again. "
         + "; ".join(f"{name}={'|'.join(oracle.settings)}" for name, oracle in ORACLES.items())
         + f"; frustum=SIDE of the root frusta, {FRUSTUM_SIDES[0]} to {FRUSTUM_SIDES[1]} samples. "
-        "split_frustum takes a ratio of areas too, as in small:8.", panel=METHOD,
+        "split_frustum takes a ratio of areas too, as in small:8. Of methods with a grid: "
+        + "; ".join(f"{name}={'|'.join(oracle.settings)}" for name, oracle in RAY_ORACLES.items())
+        + "; a number after a colon: of pass per cent of the rays, of unroll tests, of mailbox boxes.", panel=METHOD,
     ),
 ]  # fmt: skip
 Intersection = Annotated[
@@ -123,8 +125,22 @@ Intersection = Annotated[
         text="edge [default], or barycentric, by determinants, with --method raycast-brute.", panel=METHOD,
     ),
 ]  # fmt: skip
-Accelerator = Annotated[Texts, _option("--accelerator", metavar="NAME", text="auto [default].", panel=METHOD)]
-GridResolution = Annotated[Texts, typer.Option("--grid-resolution", metavar="N", hidden=True)]
+Accelerator = Annotated[
+    Texts,
+    _option(
+        "--accelerator", metavar="NAME",
+        text="auto [default], or bvh; grid: with --method auto raycast-grid. Secondary rays go through the BVH.",
+        panel=METHOD,
+    ),
+]  # fmt: skip
+GridResolution = Annotated[
+    Texts,
+    _option(
+        "--grid-resolution", metavar="N",
+        text="Cells of a grid along the scene's shortest side, 1 to 1023 [default: as many as make traversal and "
+        "intersection cost the same].", panel=METHOD,
+    ),
+]  # fmt: skip
 
 Mode = Annotated[
     Texts, _option("--mode", metavar="NAME", text="cast [default], shadow, whitted or path.", panel=EFFECTS)

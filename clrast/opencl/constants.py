@@ -116,6 +116,48 @@ WORK_COUNTER_COUNT = len(WORK_COUNTERS)
 LIST_CHUNK = 256
 """Entries that one work item counts and lists where lists are made by prefix sums; a multiple of 16."""
 
+MAX_GRID_SIDE = 1023
+"""Cells of a grid along an axis: numbers of cells of three axes fit one word of a ray's state."""
+
+CELL_CHUNK = 4096
+"""Cells of a grid whose counts one work item adds up."""
+
+ORDER_CHUNK = 256
+"""Cells whose lists one work item puts in order."""
+
+SHORT_LIST = 32
+"""Lists up to this long are sorted by insertion."""
+
+RAY_BLOCK = 8
+"""A work item of traverse_grid takes a square of this many rays a side, one after the other."""
+
+TRACE_TEST = 0x80000000
+"""Of a word that a ray writes down: it is a triangle that was tested, else a cell that was entered;"""
+
+TRACE_IN_BOUND = 0x40000000
+"""of such a triangle: its bound holds the sample, so that its nearness was read;"""
+
+TRACE_EVALUATED = 0x20000000
+"""and its edge functions were evaluated."""
+
+RAY_TRAVERSING = 0
+"""States of a ray in passes: it looks for cells with triangles,"""
+
+RAY_INTERSECTING = 1
+"""it is tested against those of a cell,"""
+
+RAY_SHADING = 2
+"""it has met all that it had to, or it left the grid,"""
+
+RAY_DONE = 3
+"""or never met it."""
+
+RECORD_WORDS = 16
+"""32-bit words of a triangle's record: see cl/record_triangles.cl."""
+
+NEARNESS_DOUBT = 2.0**-10
+"""What computed w may be off by, relative to itself, where a triangle is left to the grid."""
+
 MAX_SHARED_SAMPLES = 32
 """Most samples of a pixel whose shading is shared."""
 

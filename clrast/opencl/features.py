@@ -62,6 +62,10 @@ class Features:
     node_bounds: bool = False  # setup finds each triangle's greatest nearness, for the nodes of a BVH
     leaf_order: bool = False  # triangles lie in the order of the leaves of a BVH
     stack_capacity: int = 1  # entries of a work item's stack in traverse_frusta.cl
+    mailbox: int = 0  # boxes of a ray through a grid that remember which triangles it was tested against
+    trace: bool = False  # rays through a grid write down what they read
+    unroll_steps: int = 1  # cells that a traversal pass looks at for each ray
+    unroll_tests: int = 1  # triangles that an intersection pass tests for each ray
     resumable: bool = False  # traversal stops and goes on in another launch, on drivers that limit loops
     alpha_mask: bool = False
     alpha_blend: bool = False

@@ -117,7 +117,24 @@ PLANES = np.dtype(
 )
 """Where `shade_hits` writes each channel group: plane k starts at k * pixel count."""
 
-STRUCTS = {"View": VIEW, "Camera": CAMERA, "Material": MATERIAL, "Texture": TEXTURE, "Light": LIGHT, "Planes": PLANES}
+GRID = np.dtype(
+    [
+        ("low", "<f4", 4),  # lower corner, device space (world space times world_scale)
+        ("cell", "<f4", 4),  # sides of a cell: at most 12 significant bits
+        ("inverse_cell", "<f4", 4),
+        ("pad", "<f4", 4),  # a triangle stands in each cell within this of it, by axis
+        ("columns", "<u4"),  # cells along x, at most MAX_GRID_SIDE; a cell's number is (z * rows + y) * columns + x
+        ("rows", "<u4"),
+        ("layers", "<u4"),
+        ("cell_count", "<u4"),
+    ]
+)
+"""A uniform grid, without its lists."""
+
+STRUCTS = {
+    "View": VIEW, "Camera": CAMERA, "Grid": GRID, "Material": MATERIAL, "Texture": TEXTURE, "Light": LIGHT,
+    "Planes": PLANES,
+}  # fmt: skip
 
 CONSTANTS: dict[str, int | float] = {
     name: value

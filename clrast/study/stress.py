@@ -25,6 +25,7 @@ from clrast.study.hard_case import HardCase
 from clrast.study.hard_cases import REFUSALS, make_case
 from clrast.study.stress_views import View, views_of
 from clrast.study.wrong_samples import DEPTH, KINDS, VISIBLE, judge
+from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import AUTO, METHODS
 
 PROMISES: Mapping[str, tuple[str, ...]] = {"exact": VISIBLE, "midpoint": ("hole", "double hit")}
@@ -225,6 +226,10 @@ def run_stress(names: Sequence[str], plan: Plan, show: Show = lambda text: None)
     if "double" in plan.precisions and not device.has_fp64 and not plan.must_have:
         notes.append(f"double is left out: {device.name} has no float64")
         plan = replace(plan, precisions=tuple(name for name in plan.precisions if name != "double"))
+    grids = [name for name in plan.methods if name in METHODS and METHODS[name].grid]
+    if loop_limit(device) is not None and len(grids) < len(plan.methods) and grids:
+        notes.append(f"{' and '.join(grids)} are left out: {device.name} ends long loops early")
+        plan = replace(plan, methods=tuple(name for name in plan.methods if name not in grids))
     cases, findings, refused = [], [], []
     for name in names:
         if name in REFUSALS:

@@ -7,14 +7,14 @@ of the continuum is a new row here and no new kernel. All rows with 3D edges ret
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
 from clrast.errors import UsageError
 from clrast.opencl import constants
 from clrast.opencl.features import Edges, Features, Precision
-from clrast.visibility.oracles import ORACLES, OracleChoice, parse_oracle
+from clrast.visibility.oracles import ORACLES, RAY_ORACLES, OracleChoice, parse_oracle
 
 AUTO = "auto"
 
@@ -30,7 +30,8 @@ class Method:
     edges : how the three edge functions of a triangle are found. tiles : triangles are sorted into lists of
     screen tiles (bin_triangles, rasterize_tiles), so that a tile meets only its own; else frusta meet nodes or the
     whole scene (traverse_frusta). oracles : name -> choice. frustum : side of the root frusta, samples.
-    evaluation : direct or incremental.
+    evaluation : direct or incremental. grid : rays walk through a uniform grid (record_triangles, traverse_grid); with
+    `passes` in passes that the host chooses (pass_rays). rays : name -> choice, of RAY_ORACLES.
     """
 
     name: str
@@ -41,6 +42,9 @@ class Method:
     oracles: Mapping[str, OracleChoice]
     frustum: int = 256
     evaluation: str = "direct"
+    grid: bool = False
+    passes: bool = False
+    rays: Mapping[str, OracleChoice] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def needs_bvh(self) -> bool:
@@ -49,7 +53,7 @@ class Method:
     @property
     def is_brute(self) -> bool:
         """Whether its time grows with triangles times samples or frusta."""
-        return not self.tiles and not self.needs_bvh
+        return not self.tiles and not self.needs_bvh and not self.grid
 
     def configure(self, features: Features) -> Features:
         """The features with what this method decides; rungs that settle every sample have one answer, and one form of
@@ -57,6 +61,11 @@ class Method:
         chosen: dict[str, Any] = {}
         for name, choice in self.oracles.items():
             chosen[name] = ORACLES[name].settings[choice.setting][0]
+        if "mailbox" in self.rays:
+            chosen["mailbox"] = self.rays["mailbox"].number if self.rays["mailbox"].setting == "boxes" else 0
+        if "unroll" in self.rays:
+            steps = int(self.rays["unroll"].setting)
+            chosen |= {"unroll_steps": steps, "unroll_tests": self.rays["unroll"].number or steps}
         edges = Edges.SPATIAL if features.filtered else self.edges
         # Integer edge functions have one value, however it is come by.
         evaluation = "direct" if features.precision is Precision.FIXED else self.evaluation
@@ -85,6 +94,12 @@ def _row(name: str, meaning: str, section: str, edges: Edges, oracles: Mapping[s
     return Method(name, meaning, section, edges, tiles, MappingProxyType(chosen), frustum)
 
 
+def _grid_row(name: str, meaning: str, section: str, rays: tuple[str, ...], *, passes: bool = False) -> Method:
+    chosen = dict(parse_oracle("oracle", text) for text in rays)
+    row = _row(name, meaning, section, Edges.SPATIAL, _BINNING)
+    return replace(row, grid=True, passes=passes, rays=MappingProxyType(chosen))
+
+
 METHODS: Mapping[str, Method] = MappingProxyType({
     row.name: row
     for row in (
@@ -109,6 +124,10 @@ METHODS: Mapping[str, Method] = MappingProxyType({
              frustum=64),
         _row("raycast-bvh", "packets of 8 x 8 rays through the BVH", "4",
              Edges.SPATIAL, {**_CULLING, "is_occluded": "w_buffer"}, frustum=8),
+        _grid_row("raycast-grid", "one ray at a time through the uniform grid, branching", "Purcell 3.1",
+                  ("mailbox=never",)),
+        _grid_row("raycast-grid-multipass", "the same in passes over streams of rays, chosen by the host",
+                  "Purcell 3.2", ("pass=purcell:40", "unroll=4"), passes=True),
         _row("raycast-brute", "a loop over triangles for each vector of rays (Durand, section 3)", "Durand 3, 4",
              Edges.SPATIAL, _NOTHING, frustum=4),
     )
@@ -134,12 +153,21 @@ def resolve_method(
     """
     method = METHODS[name]
     chosen = dict(parse_oracle("--oracle", text) for text in oracles)
+    rays = {each: chosen.pop(each) for each in RAY_ORACLES if each in chosen}
+    for each in rays:
+        if each not in method.rays:
+            owners = [row.name for row in METHODS.values() if each in row.rays]
+            raise UsageError(f"--oracle {each}: {name} has no rays that ask it: use --method {' or '.join(owners)}")
+    if chosen and method.grid:
+        raise UsageError(f"--oracle: {name} has rays in place of frusta: use {' or '.join(method.rays)}")
     if chosen and method.tiles:
         raise UsageError(f"--oracle: {name} has its lists of tiles in place of a traversal: use a frustum method")
     frustum = chosen.pop("frustum", None)
     if frustum is not None:
         method = replace(method, frustum=frustum.number)
-    method = replace(method, oracles=MappingProxyType({**method.oracles, **chosen}))
+    method = replace(
+        method, oracles=MappingProxyType({**method.oracles, **chosen}), rays=MappingProxyType({**method.rays, **rays})
+    )
     if intersection == "barycentric":
         if name != "raycast-brute":
             raise UsageError("--intersection barycentric is of --method raycast-brute: give that method")

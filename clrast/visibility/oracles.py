@@ -94,6 +94,41 @@ ORACLES: Mapping[str, Oracle] = MappingProxyType({
 })  # fmt: skip
 """Name -> oracle, in the order in which the recursion asks them."""
 
+RAY_ORACLES: Mapping[str, Oracle] = MappingProxyType({
+    oracle.name: oracle
+    for oracle in (
+        _oracle(
+            "pass",
+            "which rays the next pass is for: those that traverse, or those that intersect",
+            "Purcell 3.2",
+            {
+                "naive": (0, "intersect as soon as any ray can, else traverse"),
+                "delany": (1, "what more rays wait for"),
+                "purcell": (2, "intersect once a share of the active rays can, else traverse"),
+            },
+            ("per cent of the active rays that make an intersection pass worth it", 20, 1, 100),
+        ),
+        _oracle(
+            "unroll",
+            "how often a pass runs its kernel's inner loop for each ray",
+            "Purcell 4.2",
+            {str(k): (k, f"{k} traversal {'step' if k == 1 else 'steps'}") for k in (1, 2, 4, 8)},
+            ("intersection tests of an intersection pass, 0 for as many as traversal steps", 0, 0, 8),
+        ),
+        _oracle(
+            "mailbox",
+            "skip triangles that the ray was tested against in an earlier cell",
+            "Purcell 3.1.3",
+            {
+                "never": (0, "test a triangle in every cell that holds it"),
+                "boxes": (1, "each ray remembers some triangles, by prim_id modulo their number"),
+            },
+            ("triangles that a ray remembers", 16, 1, 64),
+        ),
+    )
+})  # fmt: skip
+"""Name -> oracle of rays through a grid: Purcell et al., 'Ray Tracing on Programmable Graphics Hardware'."""
+
 FRUSTUM_SIDES = (4, 256)
 """Smallest and largest side of a root frustum, samples."""
 
@@ -111,14 +146,14 @@ class OracleChoice:
 def parse_oracle(option: str, text: str) -> tuple[str, OracleChoice]:
     """`NAME=SETTING[:NUMBER]`, or `frustum=SIDE`, as the name and the choice; raises UsageError."""
     name, equals, value = (part.strip() for part in text.partition("="))
-    names = (*ORACLES, "frustum")
+    names = (*ORACLES, "frustum", *RAY_ORACLES)
     if not equals:
         raise UsageError(f"{option} {text!r}: give NAME=VALUE, such as split_frustum=never")
     if name not in names:
         raise UsageError(f"{option} {name!r} is unknown: use {' or '.join(names)}{_hint(name, names)}")
     if name == "frustum":
         return name, OracleChoice("side", _side(option, value))
-    oracle = ORACLES[name]
+    oracle = ORACLES.get(name) or RAY_ORACLES[name]
     match = _SETTING.fullmatch(value)
     if not match or match[1] not in oracle.settings:
         raise UsageError(f"{option} {name}={value}: use {' or '.join(oracle.settings)}{_hint(value, oracle.settings)}")
