@@ -36,8 +36,12 @@ def mean_and_error(residuals: np.ndarray) -> tuple[float, float]:
     return float(flat.mean()), float(flat.std(ddof=1) / math.sqrt(flat.size))
 
 
-def assert_unbiased(residuals: np.ndarray, bound: float, z: float = Z_OF_1E_6) -> None:
-    """The mean of independent residuals is 0 within z of its standard errors, which are small enough to see `bound`."""
+def assert_unbiased(residuals: np.ndarray, bound: float, systematic: float = 0.0, z: float = Z_OF_1E_6) -> None:
+    """The mean of independent residuals is 0 within z of its standard errors, and these are small enough to see `bound`.
+
+    systematic : what rounding and quadrature may leave.
+    """
     mean, error = mean_and_error(residuals)
-    assert z * error <= bound, f"too few samples to see {bound}: the mean is known to {z * error}"
-    assert abs(mean) <= max(z * error, 1e-6), f"mean {mean}, {abs(mean) / max(error, 1e-30):.1f} standard errors from 0"
+    allowed = z * error + systematic
+    assert allowed <= bound, f"too few samples to see {bound}: the mean is known to {allowed}"
+    assert abs(mean) <= allowed, f"mean {mean}, {abs(mean) / max(error, 1e-30):.1f} standard errors from 0"
