@@ -68,7 +68,7 @@ kernel void begin_light(
   Place place;
   float4 radiance = (float4)(0.0f);
   if (load_place(&items, &mesh, surfaces, item, &place)) {
-    const bool unlit = (place.material.flags & MATERIAL_UNLIT) != 0;
+    const bool unlit = place.is_unlit;
     if (!is_first && unlit) radiance = place.base * place.alpha;
 #if EMISSION
     if (!is_first && !unlit) {
@@ -164,7 +164,7 @@ kernel void aim_at_light(
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
   Place place;
   slot_kinds[item] = 0;
-  if (!load_place(&items, &mesh, surfaces, item, &place) || place.material.flags & MATERIAL_UNLIT) return;
+  if (!load_place(&items, &mesh, surfaces, item, &place) || place.is_unlit) return;
   float share = 1.0f;
   float4 radiance = (float4)(0.0f), way = (float4)(0.0f);
   float t_max = INFINITY;
