@@ -52,7 +52,12 @@ def directional_albedo(material: Material, cosine: float, count: int = 128, turn
 
 
 def light_of_emitters(
-    material: Material, points: np.ndarray, n: np.ndarray, to_viewer: np.ndarray, emitters: Sequence[Part], count: int = 24
+    material: Material,
+    points: np.ndarray,
+    n: np.ndarray,
+    to_viewer: np.ndarray,
+    emitters: Sequence[Part],
+    count: int = 24,
 ) -> np.ndarray:
     """(points, 3) radiance towards viewers that points (points, 3) send on of the light of parallelograms.
 
@@ -61,7 +66,8 @@ def light_of_emitters(
     nodes, weights = np.polynomial.legendre.leggauss(count)
     total = np.zeros_like(points)
     for emitter in emitters:
-        c, u, v = emitter.positions[0], emitter.positions[1] - emitter.positions[0], emitter.positions[3] - emitter.positions[0]
+        c = emitter.positions[0]
+        u, v = emitter.positions[1] - c, emitter.positions[3] - c
         area = np.cross(u, v)
         for a, weight_a in zip((nodes + 1) / 2, weights / 2, strict=True):
             for b, weight_b in zip((nodes + 1) / 2, weights / 2, strict=True):

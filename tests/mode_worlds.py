@@ -69,7 +69,8 @@ def assemble(*parts: Part, lights: Sequence[Light] = (), **fields: Any) -> Scene
     for name, width, empty in (("colors", 4, 1.0), ("normals", 3, 0.0), ("uv", 2, 0.0)):
         rows = [getattr(part, name) for part in parts]
         if any(row is not None for row in rows):
-            filled = [np.full((len(p.positions), width), empty) if r is None else r for p, r in zip(parts, rows, strict=True)]
+            blank = [np.full((len(part.positions), width), empty) for part in parts]
+            filled = [b if row is None else row for b, row in zip(blank, rows, strict=True)]
             made[name] = np.concatenate(filled).astype(np.float32)
     return make_scene(
         np.concatenate([part.positions for part in parts]),
@@ -81,10 +82,11 @@ def assemble(*parts: Part, lights: Sequence[Light] = (), **fields: Any) -> Scene
     )
 
 
-def downwards(side: int, width: float, height: float) -> CameraVectors:
-    """side x side pixels over the square of that width about the origin, seen along -z from z = height."""
+def downwards(side: int, width: float, height: float, at: Sequence[float] = (0, 0, 0)) -> CameraVectors:
+    """side x side pixels over the square of that width about a point, seen along -z from so high above it."""
     step = width / side
-    return orthographic(side, side, (-width / 2, width / 2, height), (0, 0, -1), (step, 0, 0), (0, -step, 0))
+    corner = (at[0] - width / 2, at[1] + width / 2, at[2] + height)
+    return orthographic(side, side, corner, (0, 0, -1), (step, 0, 0), (0, -step, 0))
 
 
 def looking(

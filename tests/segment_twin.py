@@ -31,18 +31,6 @@ def blocked(
     return met.any(axis=1)
 
 
-def nearest(starts: np.ndarray, ways: np.ndarray, corners: np.ndarray, own: int = -1) -> tuple[int, float, float]:
-    """The first triangle that one ray (3,), (3,) meets but `own`: index (-1: none), t, least barycentric."""
-    t, inside = (each[0] for each in crossings(starts[None], ways[None], corners))
-    met = (inside > 0) & (t > 0)
-    if own >= 0:
-        met[own] = False
-    if not met.any():
-        return -1, np.inf, float(abs(np.where(np.isfinite(inside), inside, 1)).min())
-    first = int(np.argmin(np.where(met, t, np.inf)))
-    return first, float(t[first]), float(inside[first])
-
-
 def surely_blocked(
     starts: np.ndarray, ways: np.ndarray, corners: np.ndarray, t_max: float, own: np.ndarray, margin: float
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -37,7 +37,7 @@ def mean_and_error(residuals: np.ndarray) -> tuple[float, float]:
 
 
 def assert_unbiased(residuals: np.ndarray, bound: float, systematic: float = 0.0, z: float = Z_OF_1E_6) -> None:
-    """The mean of independent residuals is 0 within z of its standard errors, and these are small enough to see `bound`.
+    """The mean of independent residuals is 0 within z of its standard errors, which are small enough to see `bound`.
 
     systematic : what rounding and quadrature may leave.
     """

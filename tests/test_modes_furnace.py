@@ -8,7 +8,20 @@ import numpy as np
 import pytest
 from kernel_world import NO_HIT
 from light_quadrature import directional_albedo
-from mode_worlds import GLASS, MIRROR, SHARED_PROGRAMS, assemble, ball, color, cube, looking, parallel, rays, rays_of, traced
+from mode_worlds import (
+    GLASS,
+    MIRROR,
+    SHARED_PROGRAMS,
+    assemble,
+    ball,
+    color,
+    cube,
+    looking,
+    parallel,
+    rays,
+    rays_of,
+    traced,
+)
 from statistics_twin import assert_unbiased
 
 from clrast.opencl.device import Device
@@ -29,6 +42,8 @@ BODIES = {
     "alloy": Material("alloy", (1.0, 0.5, 0.25, 1.0), metallic=0.5, roughness=0.6),
 }
 
+
+NAMES = list(BODIES)
 
 QUADRATURE = 2e-4
 """Error of directional_albedo."""
@@ -56,12 +71,12 @@ def test_quadrature_has_converged() -> None:
     assert 0.999 < directional_albedo(BODIES["metal 0.05"], 0.6)[0] <= 1.0001
 
 
-@pytest.mark.parametrize("name", [name if k < 4 else pytest.param(name, marks=pytest.mark.long) for k, name in enumerate(BODIES)])
+@pytest.mark.parametrize("name", [*NAMES[:4], *(pytest.param(name, marks=pytest.mark.long) for name in NAMES[4:])])
 def test_rough_bodies_in_a_furnace(first_device: Device, name: str) -> None:
     """Each pixel's expectation is the directional albedo at its cosine: the mean of what is left is 0 to 1 in 1000."""
     scene = furnace(BODIES[name])
-    options = {"samples": 512 if BODIES[name].metallic < 1 else 128, "max_depth": 1, "aov": ("color", "id"), "effects": SHARED_PROGRAMS}
-    frame = traced(first_device, scene, VIEW, "path", **options)
+    options = {"samples": 512 if BODIES[name].metallic < 1 else 128, "max_depth": 1, "effects": SHARED_PROGRAMS}
+    frame = traced(first_device, scene, VIEW, "path", aov=("color", "id"), **options)
     hit = frame["id.prim"] != NO_HIT
     seen, where = np.unique(frame["id.prim"][hit], return_inverse=True)
     albedos = np.array([directional_albedo(BODIES[name], c) for c in cosines(scene, VIEW)[seen]])

@@ -77,7 +77,7 @@ def check_shadows(device: Device, scene: Scene, view: CameraVectors, margin: flo
     cast, shadow = traced(device, scene, view, "cast", **options), traced(device, scene, view, "shadow", **options)
     hit = shadow["id.prim"] != NO_HIT
     lit, sure = lit_by_geometry(scene, view, scene.lights[0], shadow["id.prim"], margin)
-    assert hit.mean() > 0.5 and sure[hit].mean() > 0.95
+    assert hit.mean() > 0.5 and sure[hit].mean() > 0.9
     np.testing.assert_array_equal((color(shadow) > 0).all(axis=2)[sure], lit[sure])
     same = (color(shadow) == color(cast)).all(axis=2)
     dark = (color(shadow) == 0).all(axis=2)
@@ -111,8 +111,7 @@ def test_shadows_in_perspective(first_device: Device, kind: str) -> None:
 @pytest.mark.parametrize("offset", [(1000.0, -700.0, 300.0), (-30000.0, 50000.0, 20000.0)], ids=["1e3", "5e4"])
 def test_shadows_far_from_the_origin(first_device: Device, offset: tuple[float, float, float]) -> None:
     """A ray keeps 16 errors from the edges of what it leaves, each 8u of the sum of its coordinates' sizes."""
-    scene = shadow_scene(LIGHTS["point"], 40.0, offset)
-    view = looking(SIDE, np.array((-140.0, -100.0, 180.0)) + offset, np.array((0, 0, 24.0)) + offset, 1 / 64)
+    scene, view = shadow_scene(LIGHTS["point"], 40.0, offset), downwards(SIDE, 160.0, 40.0, offset)
     lit, dark = check_shadows(first_device, scene, view, 16 * 8 * 2.0**-24 * sum(map(abs, offset)))
     assert lit > 200 and dark > 200
 

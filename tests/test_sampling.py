@@ -165,7 +165,8 @@ def test_cosine_weighted_directions(probe: Probe, n: np.ndarray) -> None:
     """With density cosine / pi the square of the cosine and the turn are uniform."""
     n, count = unit_rows(n), 1 << 15
     u = np.random.default_rng(3).random((2, count), dtype=np.float32)
-    found = probe.run("directions", 6, alpha=0.5, n=repeated(n, count), v=repeated(n, count), u=u)[:3].astype(np.float64)
+    about = repeated(n, count)
+    found = probe.run("directions", 6, alpha=0.5, n=about, v=about, u=u)[:3].astype(np.float64)
     # unit(): 5 roundings and those of its argument
     assert abs((found * found).sum(axis=0) - 1).max() < 8 * 2.0**-23
     cosine, turn = around(found, n)
