@@ -246,7 +246,7 @@ def test_unlit_surfaces_are_no_lamps(first_device: Device) -> None:
     check_floor(paths(first_device, scene, samples=256), light_on_floor(CHALK, (shining, OTHER_PART)), 0.02)
 
 
-@pytest.mark.xfail(strict=True, reason="shadow rays end 2^-12 of the way before the lamp: what is nearer to it is missed")
+@pytest.mark.xfail(strict=True, reason="shadow rays end 2^-12 of the way before a lamp, and miss what is nearer")
 def test_a_cover_just_before_a_lamp_hides_it(first_device: Device) -> None:
     """Nearer to it than 2^-12 of the way, at which shadow rays end."""
     cover = square((-3, -3, 1.2), (6, 0, 0), (0, 6, 0), replace(CHALK, base_color=(0.0, 0.0, 0.0, 1.0), ior=1.0))

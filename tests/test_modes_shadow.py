@@ -118,7 +118,7 @@ def test_shadows_far_from_the_origin(first_device: Device, offset: tuple[float, 
 
 ROUNDED_WEIGHTS = pytest.mark.xfail(
     strict=True,
-    reason="shadow rays start at the float32 barycentrics of the sample, which are off by a third of a pixel from there, "
+    reason="shadow rays start at the float32 barycentrics of the sample, off by a third of a pixel from there, "
     "not at the position, which is known to 2^-24",
 )
 
