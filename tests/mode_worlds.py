@@ -15,13 +15,17 @@ from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Light, Material, Scene
 from clrast.scene.shapes import box, icosphere
 
-BLACK = Material("black", (0.0, 0.0, 0.0, 1.0), unlit=True)
 MIRROR = Material("mirror", (1.0, 1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
 GLASS = Material("glass", (1.0, 1.0, 1.0, 1.0), roughness=0.0, transmission=1.0, ior=1.5)
 CHALK = Material("chalk", (0.8, 0.6, 0.4, 1.0))
 
-SHARED_PROGRAMS = {"reflection": "on", "refraction": "on", "emission": "on"}
-"""Effects switched on where a scene may not call for them: more tests run the same programs."""
+SHARED = {"reflection": "on", "refraction": "on", "emission": "on", "normal interpolation": "on"}
+"""Effects switched on where a scene may not call for them: many tests run few programs."""
+
+DARK = Light("dark", "point", (0.0, 0.0, 0.0))
+"""A light without power: it stands in for the headlight, and paths never draw it."""
+
+MASKED = {**SHARED, "textures": "on", "alpha mask": "on", "alpha blend": "on"}
 
 
 @dataclass(frozen=True)
@@ -115,9 +119,17 @@ def parallel(side: int, width: float, direction: Sequence[float], distance: floa
     return orthographic(side, side, corner, d, right, -above)
 
 
-def traced(device: Device, scene: Scene, view: CameraVectors, mode: str, **options: Any) -> Frame:
-    """A render in a mode, by tiles unless another method is asked for."""
+def planned(device: Device, scene: Scene, view: CameraVectors, mode: str, **options: Any) -> Frame:
+    """A render in a mode with the effects that it calls for, by tiles unless another method is asked for."""
     return start(device, scene, view, mode=mode, **{"method": "3dr-binning", **options})[1]
+
+
+def traced(device: Device, scene: Scene, view: CameraVectors, mode: str, **options: Any) -> Frame:
+    """`planned` with programs that many scenes share: the effects of SHARED beside those of `options`, and DARK."""
+    if mode == "path" and not scene.lights:
+        scene = replace(scene, lights=(DARK,))
+    effects = {**(SHARED if mode != "cast" else {}), **options.pop("effects", {})}
+    return planned(device, scene, view, mode, effects=effects, **options)
 
 
 def color(frame: Frame) -> np.ndarray:

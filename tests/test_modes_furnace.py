@@ -9,9 +9,9 @@ import pytest
 from kernel_world import NO_HIT
 from light_quadrature import directional_albedo
 from mode_worlds import (
+    DARK,
     GLASS,
     MIRROR,
-    SHARED_PROGRAMS,
     assemble,
     ball,
     color,
@@ -51,7 +51,7 @@ QUADRATURE = 2e-4
 
 def furnace(material: Material) -> Scene:
     """A convex body alone in an environment of radiance 1."""
-    return assemble(ball(1, 1.5, material), environment=(1.0, 1.0, 1.0))
+    return assemble(ball(1, 1.5, material), lights=(DARK,), environment=(1.0, 1.0, 1.0))
 
 
 def cosines(scene: Scene, view: CameraVectors) -> np.ndarray:
@@ -75,7 +75,7 @@ def test_quadrature_has_converged() -> None:
 def test_rough_bodies_in_a_furnace(first_device: Device, name: str) -> None:
     """Each pixel's expectation is the directional albedo at its cosine: the mean of what is left is 0 to 1 in 1000."""
     scene = furnace(BODIES[name])
-    options = {"samples": 512 if BODIES[name].metallic < 1 else 128, "max_depth": 1, "effects": SHARED_PROGRAMS}
+    options = {"samples": 512 if BODIES[name].metallic < 1 else 128, "max_depth": 1}
     frame = traced(first_device, scene, VIEW, "path", aov=("color", "id"), **options)
     hit = frame["id.prim"] != NO_HIT
     seen, where = np.unique(frame["id.prim"][hit], return_inverse=True)
@@ -91,7 +91,7 @@ def test_a_mirror_in_a_furnace_is_white(first_device: Device, mode: str, smooth:
     """And so is the mean of pixels that it covers in part: colour is premultiplied, its alpha is what is covered."""
     scene = replace(furnace(MIRROR), environment=(0.25, 1.0, 3.0))
     if smooth:
-        scene = replace(assemble(ball(2, 1.5, MIRROR, True)), environment=(0.25, 1.0, 3.0))
+        scene = replace(assemble(ball(2, 1.5, MIRROR, True), lights=(DARK,)), environment=(0.25, 1.0, 3.0))
     for aa in ("none", "ssaa:4"):
         frame = traced(first_device, scene, VIEW, mode, aa=aa, **({"samples": 3} if mode == "path" else {}))
         assert (frame["A"] == 1).sum() > 200 and (frame["A"] == 0).any()
@@ -103,8 +103,8 @@ def test_a_mirror_in_a_furnace_is_white(first_device: Device, mode: str, smooth:
 def test_glass_in_a_furnace_is_white(first_device: Device) -> None:
     """Light that glass does not mirror it lets through: no path loses any. Of a cube of glass all light gets out:
     inside it has a cosine of 0.745 or more to the faces that it came in by, and leaves there."""
-    scene = assemble(cube(0.9, GLASS), environment=(1.0, 1.0, 1.0))
-    options = {"samples": 32, "max_depth": 64, "aov": ("color", "id"), "effects": SHARED_PROGRAMS}
+    scene = assemble(cube(0.9, GLASS), lights=(DARK,), environment=(1.0, 1.0, 1.0))
+    options = {"samples": 32, "max_depth": 64, "aov": ("color", "id")}
     frame = traced(first_device, scene, VIEW, "path", **options)
     hit = frame["id.prim"] != NO_HIT
     assert_unbiased(color(frame)[hit][:, 0].astype(np.float64) - 1, 1e-2)
@@ -116,7 +116,7 @@ def test_glass_in_a_furnace_is_white(first_device: Device) -> None:
 
 def test_whitted_glass_loses_what_is_too_weak_to_trace(first_device: Device) -> None:
     """At each hit two rays of 2^-10 at most are not traced."""
-    scene = assemble(cube(0.9, GLASS), environment=(1.0, 1.0, 1.0))
+    scene = assemble(cube(0.9, GLASS), lights=(DARK,), environment=(1.0, 1.0, 1.0))
     frame = traced(first_device, scene, VIEW, "whitted", max_depth=64, aov=("color", "id"))
     found, counts = color(frame)[frame["id.prim"] != NO_HIT], rays(frame)
     hits_of_pixel = 1 + (counts["reflection"] + counts["refraction"]) / len(found)
@@ -131,7 +131,8 @@ GLOW = 0.375
 @pytest.mark.parametrize(("mode", "depth"), [("whitted", 0), ("whitted", 1), ("whitted", 25), ("path", 0), ("path", 3)])
 def test_a_box_of_glowing_mirrors(first_device: Device, mode: str, depth: int) -> None:
     """Each generation adds what a wall emits, exactly: sums of 3/8 are short numbers. And no ray gets out."""
-    scene = assemble(cube(1.0, replace(MIRROR, emissive=(GLOW, 2 * GLOW, 4 * GLOW))), environment=(64.0, 64.0, 64.0))
+    walls = replace(MIRROR, emissive=(GLOW, 2 * GLOW, 4 * GLOW))
+    scene = assemble(cube(1.0, walls), lights=(DARK,), environment=(64.0, 64.0, 64.0))
     view = looking(24, (0.1, 0.2, -0.3), (0.9, 0.3, 0.2), 1 / 12)
     samples = {"samples": 2} if mode == "path" else {}
     frame = traced(first_device, scene, view, mode, max_depth=depth, **samples)
@@ -151,12 +152,11 @@ def test_roulette_keeps_the_mean(first_device: Device) -> None:
 
 @pytest.mark.parametrize("depth", [0, 1, 4])
 def test_a_closed_box_that_glows(first_device: Device, depth: int) -> None:
-    """Walls that send on half of what arrives, whatever the angle (no Fresnel term: metal 1 is not used, but a mirror
-    whose base is 1/2): the sum of a geometric series."""
-    scene = assemble(cube(1.0, replace(MIRROR, base_color=(0.5, 0.5, 0.5, 1.0), emissive=(1.0, 1.0, 1.0))))
+    """Mirrors of base 1/2 that emit 1, followed from wall to wall in float64 with Schlick's term at each."""
+    walls = replace(MIRROR, base_color=(0.5, 0.5, 0.5, 1.0), emissive=(1.0, 1.0, 1.0))
+    scene = assemble(cube(1.0, walls), lights=(DARK,))
     view = looking(16, (0.1, 0.2, -0.3), (0.9, 0.3, 0.2), 1 / 256)
     frame = traced(first_device, scene, view, "whitted", max_depth=depth)
-    # Schlick's term at every hit: all walls are met at one triple of cosines, |d_x|, |d_y|, |d_z|.
     d = rays_of(view)[1].reshape(-1, 3)
     d = d / np.sqrt((d * d).sum(-1, keepdims=True))
     eye = np.array(view.origin)

@@ -9,7 +9,21 @@ import numpy as np
 import pytest
 from light_quadrature import directional_albedo, light_of_emitters
 from light_twin import radiance
-from mode_worlds import CHALK, Part, assemble, color, cube, downwards, floor, looking, parallel, rays_of, square, traced
+from mode_worlds import (
+    CHALK,
+    MASKED,
+    Part,
+    assemble,
+    color,
+    cube,
+    downwards,
+    floor,
+    looking,
+    parallel,
+    rays_of,
+    square,
+    traced,
+)
 from statistics_twin import assert_unbiased
 
 from clrast.opencl.device import Device
@@ -29,9 +43,6 @@ EYE = np.array((0.2, -2.5, 1.2))
 VIEW = looking(SIDE, EYE, (0, 0, 0), 1 / 64)
 """Sees the floor alone, from under the lamps, which hide no part of each other from where it looks."""
 
-ALL_ON = {"reflection": "on", "refraction": "on", "emission": "on"}
-
-
 def floor_points(view: CameraVectors) -> tuple[np.ndarray, np.ndarray]:
     """Where pixels see z = 0, and unit vectors to the viewer: (pixels, 3) float64."""
     origins, d = (each.reshape(-1, 3) for each in rays_of(view))
@@ -40,7 +51,7 @@ def floor_points(view: CameraVectors) -> tuple[np.ndarray, np.ndarray]:
 
 def paths(device: Device, scene: Scene, view: CameraVectors = VIEW, **options: Any) -> np.ndarray:
     """(pixels, 3) float64 of a path render in which every pixel shows something."""
-    frame = traced(device, scene, view, "path", **{"samples": 64, "max_depth": 1, "effects": ALL_ON, **options})
+    frame = traced(device, scene, view, "path", **{"samples": 64, "max_depth": 1, **options})
     assert (frame["A"] == 1).all()
     return color(frame).reshape(-1, 3).astype(np.float64)
 
@@ -110,7 +121,7 @@ def test_light_between_walls(first_device: Device) -> None:
     view = parallel(SIDE, 0.5, (-3, -2, -4), 0.25)
     scene = assemble(cube(1.0, wall))
     d = np.array(view.direction)
-    frame = traced(first_device, scene, view, "path", samples=128, max_depth=0, effects=ALL_ON, aov=("color", "normal"))
+    frame = traced(first_device, scene, view, "path", samples=128, max_depth=0, aov=("color", "normal"))
     cosine = abs(sum(frame[f"Ng.{axis}"].astype(np.float64) * d[k] for k, axis in enumerate("XYZ")))
     values = {float(c): directional_albedo(wall, float(c))[0] for c in np.unique(cosine.round(5))}
     expected = 1 + np.vectorize(lambda c: values[round(float(c), 5)])(cosine)
@@ -163,7 +174,7 @@ def test_the_shadow_of_a_leaf_has_its_holes(first_device: Device, mode: str) -> 
     scene = assemble(floor(6, CHALK), leaf(1.0), lights=(light,), textures=(leaf_texture(),))
     view = downwards(48, 4.0, 0.5)
     options = {"max_depth": 0, "samples": 1} if mode == "path" else {}
-    lit = color(traced(first_device, scene, view, mode, **options))[..., 0] > 0
+    lit = color(traced(first_device, scene, view, mode, effects=MASKED, **options))[..., 0] > 0
     points, _ = floor_points(view)
     crossing = points + (np.array(light.position) - points) / 3
     texel = (crossing[:, :2] * (1, -1) + 1) * 4
@@ -181,7 +192,7 @@ def test_panes_stop_light_from_half_alpha_on(first_device: Device, alpha: float,
     pane = Material("pane", (1.0, 0.0, 0.0, alpha), alpha_mode="BLEND")
     scene = assemble(floor(6, CHALK), floor(20, pane, 0.75), lights=(LIGHT,))
     view = downwards(16, 2.0, 0.5)
-    assert (color(traced(first_device, scene, view, "shadow"))[..., 0] > 0).all() == passes
+    assert (color(traced(first_device, scene, view, "shadow", effects=MASKED))[..., 0] > 0).all() == passes
 
 
 def black_pane(alpha: float, z: float) -> Part:
@@ -200,7 +211,7 @@ SEEN_TWICE = pytest.mark.xfail(
 def test_panes_dim_the_light_of_lamps(first_device: Device, alpha: float) -> None:
     """1 - alpha of a lamp's light arrives at the floor below a black pane; seen from under it."""
     scene = assemble(floor(20, CHALK), LAMP_PART, black_pane(alpha, 1.25))
-    found = paths(first_device, scene, max_depth=2, samples=128)
+    found = paths(first_device, scene, max_depth=2, samples=128, effects=MASKED)
     check_floor(found, (1 - alpha) * light_on_floor(CHALK, (LAMP_PART,)), 0.15)
 
 
@@ -208,7 +219,7 @@ def test_panes_dim_the_light_of_lamps(first_device: Device, alpha: float) -> Non
 def test_seen_through_a_pane(first_device: Device, alpha: float) -> None:
     """A black pane upright between the eye and the floor: 1 - alpha of what the floor shows."""
     upright = square((-9, -2.0, -9), (18, 0, 0), (0, 0, 18), black_pane(alpha, 0).material)
-    found = paths(first_device, assemble(floor(20, CHALK), LAMP_PART, upright))
+    found = paths(first_device, assemble(floor(20, CHALK), LAMP_PART, upright), effects=MASKED)
     check_floor(found, (1 - alpha) * light_on_floor(CHALK, (LAMP_PART,)))
 
 
@@ -229,12 +240,12 @@ def test_masked_lamps_shine_where_they_are(first_device: Device) -> None:
     scene = assemble(floor(20, CHALK), lamp, textures=(leaf_texture(),))
     points, to_viewer = floor_points(VIEW)
     expected = light_of_emitters(CHALK, points, UP, to_viewer, leaf_squares(), 4)
-    check_floor(paths(first_device, scene), expected, 0.03)
+    check_floor(paths(first_device, scene, effects=MASKED), expected, 0.03)
 
 
 def test_blending_lamps_shine_by_their_alpha(first_device: Device) -> None:
     lamp = replace(LAMP_PART, material=replace(LAMP, base_color=(0.0, 0.0, 0.0, 0.75), alpha_mode="BLEND"))
-    found = paths(first_device, assemble(floor(20, CHALK), lamp))
+    found = paths(first_device, assemble(floor(20, CHALK), lamp), effects=MASKED)
     check_floor(found, 0.75 * light_on_floor(CHALK, (LAMP_PART,)))
 
 
