@@ -68,7 +68,7 @@ kernel void begin_light(
   Place place;
   float4 radiance = (float4)(0.0f);
   if (load_place(&items, &mesh, surfaces, item, &place)) {
-    const bool unlit = (place.material.flags & MATERIAL_UNLIT) != 0;
+    const bool unlit = place.is_unlit;
     if (!is_first && unlit) radiance = place.base * place.alpha;
 #if EMISSION
     if (!is_first && !unlit) {
@@ -94,8 +94,20 @@ kernel void begin_light(
 }
 
 #if INDIRECT
-// Light from a point that is drawn on an emissive triangle. *way: to the point.
-static float4 light_of_emitter(const Place *place, const Mesh *mesh, Surfaces surfaces, uint prim_id, float2 u, float inverse_power, float4 *way) {
+// The share of light that a surface sends where it is masked or blends.
+static inline float emitting_share(Surfaces surfaces, Material material, SurfacePoint at) {
+#if ALPHA_MASK
+  if (material.flags & MATERIAL_MASK) return base_color(surfaces, material, at).w < material.alpha_cutoff ? 0.0f : 1.0f;
+#endif
+#if ALPHA_BLEND
+  if (material.flags & MATERIAL_BLEND) return min(max(base_color(surfaces, material, at).w, 0.0f), 1.0f);
+#endif
+  return 1.0f;
+}
+
+// Light from a point that is drawn on an emissive triangle. is_last: no ray goes on that could find it by chance.
+// *way: to the point.
+static float4 light_of_emitter(const Place *place, const Mesh *mesh, Surfaces surfaces, uint prim_id, float2 u, float inverse_power, bool is_last, float4 *way) {
   global const uint *vertices = mesh->indices + 3 * (size_t)prim_id;
   const float root = sqrt(u.x), b0 = 1.0f - root, b1 = u.y * root;
   const SurfacePoint at = {prim_id, vertices[0], vertices[1], vertices[2], b0, b1, max((1.0f - b0) - b1, 0.0f)};
@@ -106,7 +118,8 @@ static float4 light_of_emitter(const Place *place, const Mesh *mesh, Surfaces su
   const Material material = surfaces.materials[surfaces.material_ids[prim_id]];
   const float density = density_of_emitter(mesh, material, at, l, dot_f4(*way, *way), inverse_power);
   if (!(density > 0.0f)) return (float4)(0.0f);
-  const float share = power_weight(density, density_of(place, l)) / density;
+  const float found = is_last ? 1.0f : power_weight(density, density_of(place, l));
+  const float share = found * emitting_share(surfaces, material, at) / density;
   return emitted_light(surfaces, material, at) * reflected(place->material, place->base, place->n, place->to_viewer, l, !place->is_smooth) * share;
 }
 
@@ -132,6 +145,7 @@ kernel void aim_at_light(
     uint path,                                     // its number in the sample
     uint seed,                                     // of random numbers
     uint depth,                                    // generation
+    uint is_last,                                  // 1: no ray goes on from these items
     float inverse_power,                           // of all lights that paths draw
     global const uint *restrict item_prims,        // [item_count], see ray_items.clh
     global const float4 *restrict item_weights,    // [item_count]
@@ -164,7 +178,7 @@ kernel void aim_at_light(
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
   Place place;
   slot_kinds[item] = 0;
-  if (!load_place(&items, &mesh, surfaces, item, &place) || place.material.flags & MATERIAL_UNLIT) return;
+  if (!load_place(&items, &mesh, surfaces, item, &place) || place.is_unlit) return;
   float share = 1.0f;
   float4 radiance = (float4)(0.0f), way = (float4)(0.0f);
   float t_max = INFINITY;
@@ -175,7 +189,7 @@ kernel void aim_at_light(
   light = draw_light(power_sums, light_count + emitter_count, picked);
   share = 1.0f / (power_sums[light + 1] - power_sums[light]);
   if (light >= light_count) {
-    radiance = light_of_emitter(&place, &mesh, surfaces, emitters[light - light_count], draw_pair(key, path, dimension + 1), inverse_power, &way);
+    radiance = light_of_emitter(&place, &mesh, surfaces, emitters[light - light_count], draw_pair(key, path, dimension + 1), inverse_power, is_last != 0, &way);
     share = 1.0f;
     t_max = BEFORE_EMITTER;
   }

@@ -76,6 +76,7 @@ static Scattered draw_rough(const Place *place, float2 u, float choice) {
 // One ray, drawn. choices: what is drawn of the ways to go on; u: the direction.
 static Scattered draw_ray(const Place *place, float2 choices, float2 u) {
   if (choices.x >= place->alpha) return passing(place, 1.0f);
+  if (place->is_unlit) return nowhere();
   const float glass = 1.0f - opaque_share(place);
   const float4 one = (float4)(1.0f);
   if (place->is_glass && choices.y < glass) {
@@ -139,7 +140,7 @@ kernel void scatter_rays(
   const size_t first_slot = (size_t)item * slot_count;
   for (uint k = 0; k < slot_count; ++k) slot_kinds[first_slot + k] = 0;
   Place place;
-  if (!load_place(&items, &mesh, surfaces, item, &place) || place.material.flags & MATERIAL_UNLIT) return;
+  if (!load_place(&items, &mesh, surfaces, item, &place)) return;
   Scattered rays[2];
   uint count = 0;
 #if INDIRECT

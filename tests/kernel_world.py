@@ -120,7 +120,7 @@ def start(device: Device, scene: Scene, view: CameraVectors, **options: Any) -> 
     given = make_options({"size": (view.width, view.height), "device": device.runtime, **options})
     if width:
         device = replace(device, vector_width=width)
-    job = job_module.RenderJob(device, scene, view, given, plan_effects(scene, given.aov, given.effects))
+    job = job_module.RenderJob(device, scene, view, given, plan_effects(scene, given.aov, given.effects, given.mode))
     channels = job.allocate()
     job.render_frame(channels, first=True)
     return job, Frame(channels, {}, job.stats())

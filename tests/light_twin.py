@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -25,24 +26,29 @@ def unit(v: Sequence[float] | np.ndarray) -> np.ndarray:
     return v / math.sqrt(float((v * v).sum()))
 
 
-def masking(cosine: float, alpha: float) -> float:
-    """Lambda of Smith's model for GGX."""
+def masking(cosine: Any, alpha: float) -> Any:
+    """Lambda of Smith's model for GGX, of a number or an array."""
     tangent2 = (1 - cosine * cosine) / (cosine * cosine)
-    return (math.sqrt(1 + alpha * alpha * tangent2) - 1) / 2
+    return (np.sqrt(1 + alpha * alpha * tangent2) - 1) / 2
+
+
+def distribution_of_normals(n_h: Any, alpha: float) -> Any:
+    """D of GGX, of a number or an array."""
+    return alpha**2 / (math.pi * (n_h * n_h * (alpha**2 - 1) + 1) ** 2)
 
 
 def brdf(material: Material, n: np.ndarray, v: np.ndarray, to_light: np.ndarray) -> np.ndarray:
-    """f_diffuse + f_specular, RGB; n, v, to_light unit and on one side."""
+    """f_diffuse + f_specular, (..., 3) RGB; n, v, to_light (..., 3) unit and on one side."""
     base = np.array(material.base_color[:3])
     alpha = material.roughness**2
-    h = unit(v + to_light)
-    n_l, n_v, n_h, v_h = (float(a @ b) for a, b in ((n, to_light), (n, v), (n, h), (v, h)))
-    distribution = alpha**2 / (math.pi * (n_h * n_h * (alpha**2 - 1) + 1) ** 2)
+    h = v + to_light
+    h = h / np.sqrt((h * h).sum(axis=-1, keepdims=True))
+    n_l, n_v, n_h, v_h = ((a * b).sum(axis=-1)[..., None] for a, b in ((n, to_light), (n, v), (n, h), (v, h)))
     shadowing = 1 / (1 + masking(n_l, alpha) + masking(n_v, alpha))
     f0 = 0.04 * (1 - material.metallic) + base * material.metallic
     fresnel = f0 + (1 - f0) * (1 - v_h) ** 5
     diffuse = (1 - fresnel) * base * (1 - material.metallic) / math.pi
-    return diffuse + fresnel * distribution * shadowing / (4 * n_l * n_v)
+    return diffuse + fresnel * distribution_of_normals(n_h, alpha) * shadowing / (4 * n_l * n_v)
 
 
 def irradiance(light: Light, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

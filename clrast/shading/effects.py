@@ -161,6 +161,7 @@ def _plan_secondary(scene: Scene, materials: list[Material], mode: str | None) -
         wanted["environment"] = (False, "the scene has no environment")
     else:
         why = "seen by secondary rays" if goes_on else "no ray goes on to see it"
+        why = why if bright else "the environment is black"
         wanted["environment"] = (bright and goes_on, why)
     return wanted
 

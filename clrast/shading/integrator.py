@@ -225,19 +225,20 @@ class Integrator:
 
     def _trace_path(self, items: Items, path: int, generations: int, sums: cl.Buffer, pixel_count: int) -> None:
         for depth in range(generations + 1):
-            radiances = self._booked("light", partial(self._light, items, path, depth))
+            is_last = depth == generations
+            radiances = self._booked("light", partial(self._light, items, path, depth, is_last))
             self._launch(
                 self._scattering, "add_to_samples", items.count, item_count=items.count, pixel_count=pixel_count,
                 is_first=int(items.is_first), item_pixels=items.pixels, radiances=radiances, sums=sums,
             )  # fmt: skip
-            if depth == generations:
+            if is_last:
                 return
             following = self._booked("go on", partial(self._go_on, items, path, depth))
             if following is None:
                 return
             items = following
 
-    def _light(self, items: Items, path: int, depth: int) -> cl.Buffer:
+    def _light(self, items: Items, path: int, depth: int, is_last: bool) -> cl.Buffer:
         """What lights bring to items: [item_count] float4."""
         radiances = self._room("radiances", 16 * items.count)
         numbers = {"item_count": items.count, "is_first": int(items.is_first)}
@@ -256,8 +257,9 @@ class Integrator:
         for light in range(self._rounds):
             self._launch(
                 self._lighting, "aim_at_light", items.count, **common, light=light, light_count=self._light_count,
-                emitter_count=self._emitter_count, path=path, depth=depth, inverse_power=self._inverse_power,
-                item_keys=items.keys, seed=self.depths.seed, **self._lights, **slots, slot_kinds=kinds,
+                emitter_count=self._emitter_count, path=path, depth=depth, is_last=int(is_last),
+                inverse_power=self._inverse_power, item_keys=items.keys, seed=self.depths.seed, **self._lights,
+                **slots, slot_kinds=kinds,
             )  # fmt: skip
             sources, count = self._lists.list(kinds, items.count, "sources")
             if not count:

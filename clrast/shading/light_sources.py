@@ -41,7 +41,8 @@ def find_light_sources(scene: Scene) -> LightSources:
     low, high = scene.bounding_box()
     radius = 0.5 * math.sqrt(math.fsum(float(c) ** 2 for c in high - low))
     punctual = np.array([_power(light, radius) for light in scene.lights], dtype=np.float64)
-    strengths = np.array([math.fsum(material.emissive) for material in scene.materials], dtype=np.float64)
+    emitted = [0.0 if material.unlit else math.fsum(material.emissive) for material in scene.materials]
+    strengths = np.array(emitted, dtype=np.float64)
     strength = strengths[scene.material_ids]
     prims = np.flatnonzero(strength > 0)
     corners = scene.positions[scene.triangles[prims]].astype(np.float64)
@@ -49,10 +50,10 @@ def find_light_sources(scene: Scene) -> LightSources:
     x = e[:, 1] * f[:, 2] - e[:, 2] * f[:, 1]
     y = e[:, 2] * f[:, 0] - e[:, 0] * f[:, 2]
     z = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]
-    emitted = strength[prims] * 0.5 * np.sqrt(x * x + y * y + z * z)
-    prims, emitted = prims[emitted > 0], emitted[emitted > 0]
+    powers = strength[prims] * 0.5 * np.sqrt(x * x + y * y + z * z)
+    prims, powers = prims[powers > 0], powers[powers > 0]
     # One running sum, so that shares add up to 1; numpy's accumulate goes from left to right.
-    running = np.add.accumulate(np.concatenate(([0.0], punctual, emitted)))
+    running = np.add.accumulate(np.concatenate(([0.0], punctual, powers)))
     total = float(running[-1])
     if not total > 0 or not math.isfinite(total):
         return LightSources(np.zeros(0, np.uint32), np.zeros(1, np.float32), 0.0)

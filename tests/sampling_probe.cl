@@ -1,0 +1,83 @@
+// Probes of elementary.clh and sampling.clh for tests: what their functions give for given numbers.
+//
+// Arrays are planes of `count` numbers. Tests: tests/test_sampling.py.
+
+#include "surface.clh"
+#include "lighting.clh"
+#include "elementary.clh"
+#include "sampling.clh"
+
+// Reads: turns. Writes: results. Work item: one angle. Local memory: 0 bytes.
+kernel void probe_turns(
+    uint count,
+    global const float *restrict turns,  // [count] in [0, 1]
+    global float *restrict results)      // [2][count] cosine, sine
+{
+  const uint i = get_global_id(0);
+  if (i >= count) return;
+  const float2 found = cosine_sine(turns[i]);
+  results[i] = found.x;
+  results[count + i] = found.y;
+}
+
+// Reads: words. Writes: results. Work item: one pair of words. Local memory: 0 bytes.
+kernel void probe_keys(
+    uint count,
+    global const uint *restrict words,  // [2][count]
+    global uint *restrict results)      // [count] hash_pair of both
+{
+  const uint i = get_global_id(0);
+  if (i < count) results[i] = hash_pair(words[i], words[count + i]);
+}
+
+// Reads: places. Writes: results. Work item: one point. Local memory: 0 bytes.
+kernel void probe_points(
+    uint count,
+    global const uint *restrict places,  // [3][count] key, index, dimension
+    global float *restrict results)      // [2][count] in [0, 1)
+{
+  const uint i = get_global_id(0);
+  if (i >= count) return;
+  const float2 found = draw_pair(places[i], places[count + i], places[2 * count + i]);
+  results[i] = found.x;
+  results[count + i] = found.y;
+}
+
+static float4 vector_of(global const float *numbers, uint count, uint i) {
+  return (float4)(numbers[i], numbers[count + i], numbers[2 * count + i], 0.0f);
+}
+
+// Reads: n, v, u. Writes: results. Work item: one draw. Local memory: 0 bytes.
+kernel void probe_directions(
+    uint count,
+    float alpha,
+    global const float *restrict n,  // [3][count] unit
+    global const float *restrict v,  // [3][count] unit, on the side of n
+    global const float *restrict u,  // [2][count] in [0, 1)
+    global float *restrict results)  // [6][count] draw_cosine, draw_normal
+{
+  const uint i = get_global_id(0);
+  if (i >= count) return;
+  const float2 numbers = (float2)(u[i], u[count + i]);
+  const float4 found[2] = {
+      draw_cosine(vector_of(n, count, i), numbers),
+      draw_normal(vector_of(n, count, i), vector_of(v, count, i), alpha, numbers)};
+  for (uint k = 0; k < 2; ++k) {
+    results[(3 * k + 0) * count + i] = found[k].x;
+    results[(3 * k + 1) * count + i] = found[k].y;
+    results[(3 * k + 2) * count + i] = found[k].z;
+  }
+}
+
+// Reads: n, v, l. Writes: results. Work item: one direction. Local memory: 0 bytes.
+kernel void probe_densities(
+    uint count,
+    float alpha,
+    global const float *restrict n,  // [3][count] unit
+    global const float *restrict v,  // [3][count] unit, on the side of n
+    global const float *restrict l,  // [3][count] unit
+    global float *restrict results)  // [count] density_of_normal
+{
+  const uint i = get_global_id(0);
+  if (i < count) results[i] = density_of_normal(vector_of(n, count, i), vector_of(v, count, i), vector_of(l, count, i), alpha);
+}
