@@ -30,7 +30,7 @@ from clrast.study.accuracy_front import (
     pareto_front,
     unclear_names,
 )
-from clrast.study.accuracy_knobs import KNOB_NAMES, KNOBS, Knob, make_settings
+from clrast.study.accuracy_knobs import KNOB_NAMES, KNOBS, Knob, apply, make_settings
 from clrast.study.accuracy_page import MOST_BYTES, Pictures, page, worst_window
 from clrast.study.accuracy_plot import draw, make_figure
 from clrast.study.accuracy_runs import FEWEST_ROUNDS, MOST_ROUNDS, measure_rounds
@@ -188,7 +188,7 @@ def test_each_knob_is_turned_alone_and_reasons_are_kept() -> None:
     alone = [each for each in settings.chosen[1:] if each.knob != "combination"]
     assert all(len(each.changes) == 1 for each in alone)
     for one in settings.chosen:
-        assert one.options == replace(BASE, **one.changes)
+        assert one.options == apply(BASE, one.changes)
         assert all(getattr(BASE, option) != value for option, value in one.changes.items())
     found = [each.options for each in settings.chosen]
     assert all(options not in found[:k] for k, options in enumerate(found))
@@ -233,13 +233,21 @@ def test_paths_are_counted_as_samples() -> None:
     """In mode path the reference has one path for each of 1024 samples, and a default of 16 is no setting twice."""
     settings = make_settings(replace(BASE, mode="path"))
     assert (settings.reference.aa, settings.reference.samples) == ("ssaa:1024", 1)
-    assert settings.reference.max_depth == 16
+    assert settings.reference.max_depth == 16 and settings.reference.effects == {"derivatives": "off"}
     names_of = {each.name for each in settings.chosen}
     assert {"samples 1", "samples 4", "samples 64", "samples 256", "max-depth 4", "aa ssaa:16"} <= names_of
     assert not {"samples 16", "max-depth 8", "aa ssaa:64"} & names_of
     assert "needs a reference of 4096 samples" in settings.left_out["aa ssaa:64"]
     whitted = make_settings(replace(BASE, mode="whitted"))
     assert "samples" in whitted.left_out and "max-depth 2" in {each.name for each in whitted.chosen}
+
+
+def test_an_effect_is_turned_and_the_others_stay() -> None:
+    base = replace(BASE, effects={"alpha mask": "off"})
+    settings = make_settings(base, names=("textures",))
+    assert [each.name for each in settings.chosen] == ["default", "derivatives off", "derivatives on"]
+    assert settings.chosen[1].options.effects == {"alpha mask": "off", "derivatives": "off"}
+    assert settings.chosen[1].changes == {"effects": {"derivatives": "off"}}
 
 
 def test_rungs_of_other_methods_are_left_out() -> None:

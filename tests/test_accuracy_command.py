@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from accuracy_world import FRONT, TABLE
+from accuracy_world import row as world_row
 from browser import NAMES, Browser, find_browser
 
 from clrast.__main__ import main
@@ -139,6 +140,14 @@ def test_the_printed_command_is_the_setting() -> None:
         "--effects", "textures=off", "--effects", "alpha_mask=off", "--half", "--precision", "exact", "--aa", "ssaa:16",
         "--method", "3dr-binning",
     ]  # fmt: skip
+
+
+def test_effects_of_a_setting_join_those_that_were_typed() -> None:
+    row = world_row({"effects": {"derivatives": "off"}}, 0.02, 40.0, knob="textures")
+    assert row.name == "derivatives off"
+    words = command_of(row, (8, 4), "x.ply", {"effects": ["alpha_mask=off", "derivatives=on"]}, {})
+    assert words[7:11] == ["--effects", "alpha_mask=off", "--effects", "derivatives=off"]
+    assert command_of(row, (8, 4), "x.ply", {}, {})[7:9] == ["--effects", "derivatives=off"]
 
 
 def test_lines_of_the_table() -> None:

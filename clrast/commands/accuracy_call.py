@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from clrast.errors import ClrastError
+from clrast.options import parse_effects
 from clrast.study.accuracy import Accuracy, Row
 from clrast.study.accuracy_answers import Run
 from clrast.study.accuracy_errors import measure_errors
@@ -36,6 +37,9 @@ def command_of(
     """
     own = {name: value for name, value in given.items() if name not in ("size", *row.setting.changes)}
     options = {**view, **own, **row.setting.changes, "method": row.method}
+    if "effects" in row.setting.changes:
+        effects = {**parse_effects("--effects", given.get("effects", [])), **row.setting.changes["effects"]}
+        options["effects"] = [f"{name.replace(' ', '_')}={state}" for name, state in effects.items()]
     words = ["clrast", "render", source, "-o", OUTPUT, "--size", f"{size[0]}x{size[1]}"]
     for name, value in options.items():
         flag = "--" + name.replace("_", "-")

@@ -15,7 +15,7 @@ from clrast.options import OPTION_NAMES, RenderOptions
 from clrast.visibility.sample_patterns import parse_antialiasing
 
 Changes = Mapping[str, Any]
-"""Options of a render by name, which take the place of the scene's own."""
+"""Options of a render by name, which take the place of the scene's own; effects, a mapping, only of those named."""
 
 DEFAULT = "default"
 """Name of the setting that changes nothing."""
@@ -63,6 +63,12 @@ KNOBS = (
             "ssaa:2", "ssaa:4", "ssaa:8", "ssaa:16", "ssaa:64", "ssaa:256", "auto:0.1", "auto:0.01", "auto:0.001",
         ),
         {"aa": f"ssaa:{REFERENCE_SAMPLES}"},
+    ),
+    # Many samples of a whole texture are what a filtered lookup stands for.
+    Knob(
+        "textures",
+        _values("effects", {"derivatives": "off"}, {"derivatives": "on"}),
+        {"effects": {"derivatives": "off"}},
     ),
     Knob("output", _values("half", False, True), {"half": False}),
     Knob("samples", _values("samples", 1, 4, 16, 64, 256), {"samples": 1}, modes=(PATH,)),  # with many by its aa
@@ -124,7 +130,12 @@ def make_settings(
 
 def name_of(changes: Changes) -> str:
     """The options as a short name, such as `precision exact, aa msaa:8`."""
-    texts = [option.replace("_", "-") + ("" if value is True else f" {value}") for option, value in changes.items()]
+    texts = []
+    for option, value in changes.items():
+        if isinstance(value, Mapping):
+            texts += [f"{effect} {state}" for effect, state in value.items()]
+        else:
+            texts.append(option.replace("_", "-") + ("" if value is True else f" {value}"))
     return ", ".join(texts)
 
 
@@ -170,7 +181,10 @@ def apply(base: RenderOptions, changes: Changes) -> RenderOptions:
     for option in changes:
         if option not in OPTION_NAMES:
             raise UsageError(f"this version has no option --{option.replace('_', '-')}")
-    options = replace(base, **changes)
+    whole = dict(changes)
+    if "effects" in whole:
+        whole["effects"] = {**base.effects, **whole["effects"]}
+    options = replace(base, **whole)
     options.check_together()
     return options
 
