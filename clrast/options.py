@@ -27,7 +27,7 @@ METHODS = (*AVAILABLE_METHODS[:-1], "raycast-grid", "raycast-grid-multipass", AV
 """In the order of the design, which lists those over a grid before the last."""
 MODES = ("cast", "shadow", "whitted", "path")
 PROJECTIONS = ("perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube")
-AVAILABLE_PROJECTIONS = ("perspective", "orthographic")
+AVAILABLE_PROJECTIONS = PROJECTIONS
 QUALITIES = ("preview", "draft", "final")
 AOV_GROUPS = ("color", "depth", "distance", "normal", "position", "bary", "uv", "albedo", "ray", "id", "cost")
 AVAILABLE_AOV_GROUPS = AOV_GROUPS
