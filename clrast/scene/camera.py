@@ -199,6 +199,36 @@ def _curved_vectors(camera: Camera, width: int, height: int, forward: Vector, ri
     )
 
 
+_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
+CUBE_FACES: tuple[tuple[str, Vector, Vector], ...] = (
+    ("+X", _X, _Y),
+    ("-X", _scale(_X, -1.0), _Y),
+    ("+Y", _Y, _Z),
+    ("-Y", _scale(_Y, -1.0), _scale(_Z, -1.0)),
+    ("+Z", _Z, _Y),
+    ("-Z", _scale(_Z, -1.0), _Y),
+)
+"""Faces of a cube map from top to bottom: name, forward and up in the world, as OpenEXR's ImfEnvmap.h lays them out."""
+
+
+def cube_faces(camera: Camera) -> list[Camera]:
+    """The six views of a cube map round a camera's eye, along the world's axes; its look-at and up are not used."""
+    faces = []
+    for name, forward, up in CUBE_FACES:
+        # At the eye's own scale, so that the sum moves.
+        reach = 2.0 ** math.frexp(max(1.0, *map(abs, camera.eye)))[1]
+        target = _add(camera.eye, _scale(forward, reach))
+        faces.append(Camera(f"{camera.name} {name}", "perspective", camera.eye, target, up, fov=90.0))
+    return faces
+
+
+def cube_vectors(camera: Camera) -> dict[str, list[float]]:
+    """What the stats call the camera of a cube map: +Z lies forward, +Y up, so that +X lies to the left."""
+    right, up, forward = _scale(_X, -1.0), _Y, _Z
+    return {"e": list(_float32(camera.eye)), "right": [*right], "up": [*up], "forward": [*forward]}
+
+
 def frame_scene(scene: Scene, width: int, height: int, projection: str = "perspective") -> Camera:
     """A camera that frames the whole scene from the front, a little to the right and above.
 
