@@ -389,9 +389,8 @@ class RenderOptions:
         if self.precision == "fixed":
             raise UsageError(f"--precision fixed needs planar views, and {projection} is none: use another rung")
         if self.method != AUTO and METHOD_TABLE[self.method].edges in (Edges.PROJECTED, Edges.HOMOGENEOUS):
-            raise UsageError(
-                f"--method {self.method} needs planar views, and {projection} is none: use {listed(METHODS_OF_ANY_VIEW)}"
-            )
+            others = listed(METHODS_OF_ANY_VIEW)
+            raise UsageError(f"--method {self.method} needs planar views, and {projection} is none: use {others}")
         if self.evaluation != "direct":
             raise UsageError(f"--evaluation {self.evaluation} is not available with {projection}: use direct")
 
@@ -410,7 +409,8 @@ def cube_side(size: tuple[int, int]) -> int:
     if height not in (width, 6 * width):
         raise UsageError(f"--size {width}x{height} is no cube's: give W x 6W, or W x W for one face")
     if 6 * width > MAX_SIDE or 6 * width * width > MAX_PIXELS:
-        raise UsageError(f"--size {width}x{height} is too large for a cube: its six faces have {6 * width * width} pixels")
+        pixels = 6 * width * width
+        raise UsageError(f"--size {width}x{height} is too large for a cube, with {pixels} pixels in all: give less")
     return width
 
 

@@ -40,7 +40,7 @@ def box(size: Sequence[float] = (3.0, 2.0, 4.0)) -> tuple[np.ndarray, np.ndarray
 
 
 def ball(levels: int = 3) -> Scene:
-    """A closed mesh of 8 * 4^levels triangles round the origin, with bumps: an octahedron, split at its edges' middles."""
+    """A closed mesh of 8 * 4^levels triangles round the origin, with bumps: an octahedron, split at its edges."""
     corners, faces = (array.tolist() for array in _octahedron())
     for _ in range(levels):
         middles: dict[tuple[int, int], int] = {}
@@ -85,7 +85,7 @@ def octahedron() -> Scene:
 
 
 def aimed_sheet(view: CameraVectors, step: int = 5, offset: int = 2, seed: int = 7) -> Scene:
-    """A sheet whose corners are the directions of every `step`-th sample, as far away as chance has it, rounded to float32.
+    """A sheet whose corners are the directions of every `step`-th sample, at random distances, rounded to float32.
 
     Samples lie within rounding of its corners and of edges along rows, columns and diagonals.
     """

@@ -214,5 +214,6 @@ def test_a_change_of_the_source_changes_the_numbers() -> None:
     assert text.count(old) == 1
     defined = {"VECTOR_WIDTH": "16", "TILE_LOG2": "5", "PRECISION": "2", "BINNING": "1"}
     before = count_source(text, ("rasterize_block",), defined)[0]
-    after = count_source(text.replace(old, "return ((c + x * gx) + y * gy) * 1.5f;"), ("rasterize_block",), defined)[0]
+    changed = text.replace(old, "return ((c + at.x * gx) + at.y * gy) * 1.5f;")
+    after = count_source(changed, ("rasterize_block",), defined)[0]
     assert after.mul == before.mul + 4

@@ -40,7 +40,15 @@ LookAt = Annotated[
     _option("--look-at", metavar="X,Y,Z", text="Where to look [default: the bounding box's centre].", panel=VIEW),
 ]
 Up = Annotated[Texts, _option("--up", metavar="X,Y,Z", text="The way up [default: 0,1,0].", panel=VIEW)]
-Fov = Annotated[Texts, _option("--fov", metavar="DEG", text="Vertical angle of view [default: 45]; of a fisheye's disc, up to 360 [default: 180].", panel=VIEW)]
+Fov = Annotated[
+    Texts,
+    _option(
+        "--fov",
+        metavar="DEG",
+        text="Vertical angle of view [default: 45]; of a fisheye's disc, up to 360 [default: 180].",
+        panel=VIEW,
+    ),
+]
 CameraName = Annotated[
     Texts,
     _option("--camera", metavar="NAME|INDEX", text="A camera that the file brings [default: its first].", panel=VIEW),

@@ -177,7 +177,9 @@ def camera_vectors(camera: Camera, width: int, height: int) -> CameraVectors:
     )
 
 
-def _curved_vectors(camera: Camera, width: int, height: int, forward: Vector, right: Vector, up: Vector) -> CameraVectors:
+def _curved_vectors(
+    camera: Camera, width: int, height: int, forward: Vector, right: Vector, up: Vector
+) -> CameraVectors:
     """The ray basis of a view that is not planar."""
     rim = 0.0
     if camera.projection == "fisheye":

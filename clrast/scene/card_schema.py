@@ -239,7 +239,7 @@ class CameraTable(Table):
     @model_validator(mode="after")
     def _check_fov(self) -> CameraTable:
         if self.fov is not None and self.fov >= 180.0 and self.projection != "fisheye":
-            raise ValueError("fov must be less than 180 (a fisheye's at most 360): mend it")
+            raise ValueError(f"fov is {self.fov:g}, it should be less than 180 (of a fisheye up to 360): mend it")
         return self
 
 

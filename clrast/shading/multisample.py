@@ -104,8 +104,9 @@ class Multisampler:
         }  # fmt: skip
         geometry = self.shader.geometry
         self._launch(
-            "group_samples", padded(edge_count), WORK_GROUP, view=view, surface_distance=surface_distance(view, self._projection),
-            positions=geometry.positions, indices=geometry.indices, center_prims=self.edges.center,
+            "group_samples", padded(edge_count), WORK_GROUP, view=view,
+            surface_distance=surface_distance(view, self._projection), center_prims=self.edges.center,
+            positions=geometry.positions, indices=geometry.indices,
             **self.shader.surfaces.named("object_ids", "material_ids"), **of_samples,
         )  # fmt: skip
         count = self.edges.sum_entries(room("new_surfaces"), edge_count)

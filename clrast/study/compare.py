@@ -294,7 +294,7 @@ def compare_scene(
         raise UsageError("--precision fixed is for 2dr-brute and 2dr-binning alone: compare methods at another rung")
     options = replace(options, aov=("id",), counters=False, repeat=0, oracle=(), intersection="edge", method=AUTO)
     if camera.projection not in PLANAR_PROJECTIONS:
-        raise UsageError(f"2D methods need planar views, and {camera.projection} is none: use perspective or orthographic")
+        raise UsageError(f"2D methods need planar views, and {camera.projection} is none: use perspective")
     vectors = camera_vectors(camera, *options.size)
     plan = plan_effects(scene, options.aov, options.effects)
     device = open_device(options.device, options.threads)

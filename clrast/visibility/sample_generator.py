@@ -1,7 +1,7 @@
-"""The host's twin of cl/sample_generator.clh where views are not planar: the same float32 operations, hence the same bits.
+"""The host's twin of cl/sample_generator.clh where views are not planar: the same float32 operations, the same bits.
 
-Every result of + - * / and sqrt is rounded to float32 at once, as on the device. Studies and tests take samples from here;
-renders do not.
+Every result of + - * / and sqrt is rounded to float32 at once, as on the device. Studies and tests take samples from
+here; renders do not.
 """
 
 from __future__ import annotations
@@ -65,19 +65,19 @@ def _in_world(camera: CameraVectors, a: np.ndarray, b: np.ndarray, c: np.ndarray
 
 
 def sample_rays(camera: CameraVectors, x: np.ndarray, y: np.ndarray) -> SampleRays:
-    """The rays of samples (x, y) of the viewport, pixels, multiples of 1/256; arrays of one shape, or shapes that go together.
+    """The rays of samples (x, y) of the viewport, pixels, multiples of 1/256; arrays that go together.
 
     camera : of a projection that is not planar.
     """
     x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-    across, down = _F(x - camera.width / 2), _F(y - camera.height / 2)
+    across, down = (x - camera.width / 2).astype(_F), (y - camera.height / 2).astype(_F)
     if camera.projection == "latlong":
         return _latlong(camera, across, down)
     radius = _F(min(camera.width, camera.height) / 2)
     a, b = across / radius, -down / radius
     rays = (_paraboloid if camera.projection == "paraboloid" else _fisheye)(camera, a, b)
     squares = (256 * across).astype(np.int64) ** 2 + (256 * down).astype(np.int64) ** 2
-    inside = (squares <= int(256 * radius) ** 2)[..., None]
+    inside = np.asarray(squares <= int(256 * radius) ** 2)[..., None]
     return SampleRays(*(np.where(inside, v, _F(0)) for v in (rays.d, rays.tx, rays.ty)))
 
 
