@@ -103,6 +103,10 @@ INLINE int_v blocks_may_hit(TriangleSetup setup, View view, BoundedTriangle s, i
     may_hit &= highest >= 0.0f;
 #endif
   }
+#if !PLANAR && !FILTERED
+  // t > 0: near the antipode of a small triangle its three edges reject nothing.
+  may_hit &= block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, range) > 0.0f;
+#endif
   return may_hit;
 #endif
 }

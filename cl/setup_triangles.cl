@@ -247,12 +247,13 @@ kernel void setup_triangles(
 #endif
     const int_v behind = a.behind & b.behind & c.behind;
 #else
-    const CurvedBox box = box_of_triangles(triangles, setup_triangles_3d(triangles, view), view);
+    Cone cone;
+    const CurvedBox box = box_of_triangles(triangles, setup_triangles_3d(triangles, view), view, &cone);
     const int_v x0 = first_sample(box.x0, view.center_x, view.samples_right, view.width);
     const int_v y0 = first_sample(box.y0, view.center_y, view.samples_bottom, view.height);
     const int_v x1 = end_sample(box.x1, view.center_x, view.samples_left, view.width);
     const int_v y1 = end_sample(box.y1, view.center_y, view.samples_top, view.height);
-    const int_v behind = 0;
+    const int_v behind = box.gone;
 #endif
     // Lanes past the last triangle, like triangles behind the eye and empty boxes, get the bound 0, 0.
     const int_v dropped = behind | (x0 >= x1) | (y0 >= y1) | (LANES >= (int)(triangle_count - k));
@@ -264,7 +265,7 @@ kernel void setup_triangles(
 #if PLANAR
     const int_v crossing = (a.crossing | b.crossing | c.crossing) & !behind & (LANES < (int)(triangle_count - k));
 #else
-    const int_v crossing = box.hard & (LANES < (int)(triangle_count - k));
+    const int_v crossing = box.hard & !box.gone & (LANES < (int)(triangle_count - k));
 #endif
     if (ANY_LANE(crossing)) {
       int lane_crossing[VECTOR_WIDTH];
@@ -280,7 +281,7 @@ kernel void setup_triangles(
 #if PLANAR
       bound_crossing_lanes(lane_crossing, edges, view, lane_low, lane_high);
 #else
-      bound_hard_lanes(lane_crossing, edges, view, lane_low, lane_high);
+      bound_hard_lanes(lane_crossing, edges, cone, view, lane_low, lane_high);
 #endif
       STORE_V(LOAD_V(lane_low), bounds_low + k);
       STORE_V(LOAD_V(lane_high), bounds_high + k);
