@@ -1,16 +1,16 @@
 """How many blocks of samples are refined without need where views are not planar, on random triangles.
 
-Davidovic et al., '3D Rasterization', section 3.5, print one such figure: about 18 % of the bins that their test refined,
-for the paraboloid, did not intersect the triangle. The tests here, each from the whole image down to LEVELS halvings:
+Davidovic et al., '3D Rasterization', section 3.5, print one such figure: about 18 % of the bins that their test
+refined, for the paraboloid, did not intersect the triangle. The tests here, from the whole image down to LEVELS halvings:
 
-    shifted   theirs: V at the block's corners, those towards the circle's centre moved by m (1 - sqrt(3)/2), m the block's
-              side on the disc; blocks with m > 1, or r < m/2, are always refined
+    shifted   theirs: V at the block's corners, those towards the circle's centre moved by m (1 - sqrt(3)/2), m the
+              block's side on the disc; blocks with m > 1, or r < m/2, are always refined
     maximum   ours (cl/block_ranges.clh): the largest value that V takes in the block, in closed form
     cone      ours for the fisheye: V in the middle, and how far it may change from there
 
-A refined block is needed where the triangle meets it: where one of POINTS x POINTS points of the block, its border included,
-lies in all three edges. (So thin triangles that pass between the points count as not met.) Triangles have corners in random
-directions about a random one, within a cone of the angle that the row says.
+A refined block is needed where the triangle meets it: where one of POINTS x POINTS points of the block, its border
+included, lies in all three edges. (So thin triangles that pass between the points count as not met.) Triangles have
+corners in random directions about a random one, within a cone of the angle that the row says.
 
     tools/measure_blocks.py [--triangles N] [--seed N]
 """

@@ -13,9 +13,9 @@ import numpy as np
 from clrast.scene.camera import CameraVectors, Vector
 
 _F = np.float32
-TWO_PI, TWO_PI_LOW = _F(6.28318548202514648), _F(-1.74845560e-7)
-SINE = tuple(_F(c) for c in (-41.3417022, 81.6052493, -76.7058598, 42.0586939))
-COSINE = tuple(_F(c) for c in (-19.7392088, 64.9393940, -85.4568172, 60.2446414, -26.4262568))
+TWO_PI = _F(6.28318530717958648)
+SINE = tuple(_F(c) for c in (1.57079633, -0.645964098, 0.0796926262, -0.00468175414, 0.000160441185))
+COSINE = tuple(_F(c) for c in (1.0, -1.23370055, 0.253669508, -0.0208634807, 0.000919260274, -0.0000252020424))
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,9 @@ def _polynomial(z: np.ndarray, coefficients: tuple[np.float32, ...]) -> np.ndarr
 
 
 def _quarter(k: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sine and cosine of k/4 + r of a turn."""
+    """Sine and cosine of k + r quarters of a turn."""
     z = r * r
-    s = r * TWO_PI + r * (TWO_PI_LOW + z * _polynomial(z, SINE))
-    c = _F(1) + z * _polynomial(z, COSINE)
+    s, c = r * _polynomial(z, SINE), _polynomial(z, COSINE)
     quarter = k.astype(np.int64) & 3
     sine, cosine = np.where(quarter & 1, c, s), np.where(quarter & 1, s, c)
     return np.where(quarter & 2, -sine, sine), np.where((quarter + 1) & 2, -cosine, cosine)
@@ -47,13 +46,13 @@ def _quarter(k: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def sine_cosine(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of angles in turns, (...) float32."""
     k = np.floor(_F(4) * turn + _F(0.5))
-    return _quarter(k, turn - _F(0.25) * k)
+    return _quarter(k, _F(4) * turn - k)
 
 
 def sine_cosine_of_ratio(part: np.ndarray, whole: float) -> tuple[np.ndarray, np.ndarray]:
     """Of part / whole turns; part (...) float32."""
     k = np.floor(_F(4) * part / _F(whole) + _F(0.5))
-    return _quarter(k, (part - k * (_F(0.25) * _F(whole))) / _F(whole))
+    return _quarter(k, (_F(4) * part - k * _F(whole)) / _F(whole))
 
 
 def _in_world(camera: CameraVectors, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
