@@ -1,7 +1,7 @@
 """How many blocks of samples are refined without need where views are not planar, on random triangles.
 
 Davidovic et al., '3D Rasterization', section 3.5, print one such figure: about 18 % of the bins that their test
-refined, for the paraboloid, did not intersect the triangle. The tests here, from the whole image down to LEVELS halvings:
+refined, for the paraboloid, did not intersect the triangle. The tests, from the whole image down to LEVELS halvings:
 
     shifted   theirs: V at the block's corners, those towards the circle's centre moved by m (1 - sqrt(3)/2), m the
               block's side on the disc; blocks with m > 1, or r < m/2, are always refined
