@@ -89,10 +89,13 @@ INLINE int_v blocks_may_hit(TriangleSetup setup, View view, BoundedTriangle s, i
   const float_v x1 = TO_FLOAT_V(min(left + size, s.x1)) + (view.samples_right - 1.0f - view.center_x);
   const float_v y1 = TO_FLOAT_V(min(top + size, s.y1)) + (view.samples_bottom - 1.0f - view.center_y);
   int_v may_hit = setup.valid;
+  const BlockRange range = BLOCK_RANGE(view, x0, y0, x1, y1);
 #pragma unroll
   for (uint i = 0; i < 3; ++i) {
-    const float_v highest = block_highest(setup.edge[i].c, setup.edge[i].gx, setup.edge[i].gy, x0, y0, x1, y1);
-#if EVALUATION == EVALUATION_INCREMENTAL
+    const float_v highest = block_highest(setup.edge[i].c, setup.edge[i].gx, setup.edge[i].gy, range);
+#if !PLANAR
+    may_hit &= highest >= setup.bar;
+#elif EVALUATION == EVALUATION_INCREMENTAL
     // Sums of up to 2 * INCREMENT_CELL / 4 increments stray from the value: as far as this, and no farther.
     may_hit &= highest >= -INCREMENT_SLACK * (fabs(setup.edge[i].c) + fabs(setup.edge[i].gx) * view.center_x +
                                               fabs(setup.edge[i].gy) * view.center_y);
@@ -100,6 +103,10 @@ INLINE int_v blocks_may_hit(TriangleSetup setup, View view, BoundedTriangle s, i
     may_hit &= highest >= 0.0f;
 #endif
   }
+#if !PLANAR && !FILTERED
+  // t > 0: near the antipode of a small triangle its three edges reject nothing.
+  may_hit &= block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, range) > 0.0f;
+#endif
   return may_hit;
 #endif
 }

@@ -60,7 +60,7 @@ INLINE void widen_record(TriangleSetup *setup, ErrorBounds errors, View view, ui
   const float_v y0 = TO_FLOAT_V(AS_INT_V(low >> 16)) + (view.samples_top - view.center_y);
   const float_v x1 = TO_FLOAT_V(AS_INT_V(high & 0xffffu)) + (view.samples_right - 1.0f - view.center_x);
   const float_v y1 = TO_FLOAT_V(AS_INT_V(high >> 16)) + (view.samples_bottom - 1.0f - view.center_y);
-  const float_v most = block_highest(setup->nearness.c, setup->nearness.x, setup->nearness.y, x0, y0, x1, y1);
+  const float_v most = block_highest(setup->nearness.c, setup->nearness.x, setup->nearness.y, BLOCK_RANGE(view, x0, y0, x1, y1));
   widen_nearness(&setup->nearness, errors, most, view.center_x, view.center_y, span);
 }
 #endif

@@ -44,15 +44,15 @@ static bool mask_lets_pass(const Ground *g, uint prim_id, Place at) {
   for (uint i = 0; i < 3; ++i) p[i] = g->scaled_positions[vertices[i]];
   const Vec3 a = {p[0].x, p[0].y, p[0].z}, b = {p[1].x, p[1].y, p[1].z}, c = {p[2].x, p[2].y, p[2].z};
   const TriangleSetup setup = setup_triangles_3d(canonical_triangles(a, b, c), g->view);
-  const float x = (float)at.x * (1.0f / 256.0f) - g->view.center_x, y = (float)at.y * (1.0f / 256.0f) - g->view.center_y;
+  const SamplePoint sample = sample_point(g->view, (float)at.x * (1.0f / 256.0f) - g->view.center_x,
+                                          (float)at.y * (1.0f / 256.0f) - g->view.center_y);
   SurfacePoint point;
   point.prim_id = prim_id;
   point.i0 = vertices[0];
   point.i1 = vertices[1];
   point.i2 = vertices[2];
-  weigh_vertices(&point, edge_value(setup.edge[0].c, setup.edge[0].gx, setup.edge[0].gy, x, y),
-                 edge_value(setup.edge[1].c, setup.edge[1].gx, setup.edge[1].gy, x, y),
-                 edge_value(setup.edge[2].c, setup.edge[2].gx, setup.edge[2].gy, x, y));
+  weigh_vertices(&point, edge_value_at(setup.edge[0], sample), edge_value_at(setup.edge[1], sample),
+                 edge_value_at(setup.edge[2], sample));
   return !(base_color(g->surfaces, material, point).w < material.alpha_cutoff);
 }
 #endif
@@ -60,11 +60,19 @@ static bool mask_lets_pass(const Ground *g, uint prim_id, Place at) {
 // Lets one contender take its sample, if it must.
 static void settle_contender(const Ground *g, uint pixel, uint prim_id, volatile global uint *visible_prims, Rungs *rungs) {
   const uint column = pixel % g->view.width, row = pixel / g->view.width + (g->view.band_row << TILE_LOG2);
-  const Place at = {(int)(256 * column) + (int)(256.0f * g->view.sample_x), (int)(256 * row) + (int)(256.0f * g->view.sample_y)};
+  const Place place = {(int)(256 * column) + (int)(256.0f * g->view.sample_x), (int)(256 * row) + (int)(256.0f * g->view.sample_y)};
+#if PLANAR
+  const Place at = place;
+  const Camera camera = g->camera;
+#else
+  const Place at = {0, 0};
+  const Camera camera = camera_of_sample(g->view, g->camera.origin, (float)place.x * (1.0f / 256.0f) - g->view.center_x,
+                                         (float)place.y * (1.0f / 256.0f) - g->view.center_y);
+#endif
   const Corners t = load_corners(g->positions, g->indices, prim_id);
-  if (!covers(t, g->camera, at, rungs)) return;
+  if (!covers(t, camera, at, rungs)) return;
 #if ALPHA_MASK
-  if (!mask_lets_pass(g, prim_id, at)) return;
+  if (!mask_lets_pass(g, prim_id, place)) return;
 #endif
   uint other = visible_prims[pixel];
 #if KEEP_NEARNESS
@@ -78,7 +86,7 @@ static void settle_contender(const Ground *g, uint pixel, uint prim_id, volatile
   while (other != prim_id) {
     if (other != NO_HIT) {
       const Corners u = load_corners(g->positions, g->indices, other);
-      if (goes_before(t, prim_id, u, other, g->camera, at, rungs) != is_behind) return;
+      if (goes_before(t, prim_id, u, other, camera, at, rungs) != is_behind) return;
     }
 #if KEEP_NEARNESS
     if (!is_behind) {

@@ -20,6 +20,9 @@
 #include "vector.clh"
 #include "counters.clh"
 #include "edge_function.clh"
+#if !PLANAR
+#include "curved_bounds.clh"
+#endif
 
 #define CORNER_CAPACITY 8
 
@@ -30,6 +33,7 @@
 #define SNAP_SLACK 0.0f
 #endif
 
+#if PLANAR
 // The three edge functions of one lane, as scalars.
 typedef struct { float c[3], gx[3], gy[3]; } LaneEdges;
 
@@ -71,6 +75,8 @@ static bool clip_screen_bound(LaneEdges edges, float half_width, float half_heig
   return true;
 }
 
+#endif
+
 // First and one past the last column with samples in [low, high], clamped to [0, size]; `sample` is the last place in
 // a pixel that has one for the first column, and the first place for the last.
 INLINE int_v first_sample(float_v low, float center, float sample, uint size) {
@@ -83,6 +89,7 @@ INLINE int_v end_sample(float_v high, float center, float sample, uint size) {
   return TO_INT_V(min(max(last, 0.0f), (float)size));
 }
 
+#if PLANAR
 // Where a vertex lies: X and Y from the image's centre in pixels, depth along the view axis.
 typedef struct { float_v x, y, depth; int_v crossing, behind; } ScreenPoint;
 
@@ -155,6 +162,7 @@ INLINE void bound_crossing_lanes(
     high[lane] = x1 | y1 << 16;
   }
 }
+#endif
 
 #if FILTERED
 // Lists the lanes of `unsure` that a sample may see: settle_facing finds their signs.
@@ -174,7 +182,8 @@ INLINE float_v nearest_in_bound(TriangleSetup setup, View view, uint_v low, uint
   const float_v y0 = TO_FLOAT_V(AS_INT_V(low >> 16)) + (view.samples_top - view.center_y);
   const float_v x1 = TO_FLOAT_V(AS_INT_V(high & 0xffffu)) + (view.samples_right - 1.0f - view.center_x);
   const float_v y1 = TO_FLOAT_V(AS_INT_V(high >> 16)) + (view.samples_bottom - 1.0f - view.center_y);
-  const float_v most = block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, x0, y0, x1, y1);
+  const float_v most =
+      block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, BLOCK_RANGE(view, x0, y0, x1, y1));
 #if FIXED
   return clamp_nearness(most, setup.least, setup.most);
 #else
@@ -210,6 +219,7 @@ kernel void setup_triangles(
 #pragma unroll
     for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) prim_id[lane] = min(k + lane, triangle_count - 1);
     const Triangles triangles = gather_triangles(corners, prim_id);
+#if PLANAR
     const ScreenPoint a = project_point(triangles.p0, view);
     const ScreenPoint b = project_point(triangles.p1, view);
     const ScreenPoint c = project_point(triangles.p2, view);
@@ -235,15 +245,28 @@ kernel void setup_triangles(
     x1 = unbounded ? (int_v)((int)view.width) : x1;
     y1 = unbounded ? (int_v)((int)view.height) : y1;
 #endif
-    // Lanes past the last triangle, like triangles behind the eye and empty boxes, get the bound 0, 0.
     const int_v behind = a.behind & b.behind & c.behind;
+#else
+    Cone cone;
+    const CurvedBox box = box_of_triangles(triangles, setup_triangles_3d(triangles, view), view, &cone);
+    const int_v x0 = first_sample(box.x0, view.center_x, view.samples_right, view.width);
+    const int_v y0 = first_sample(box.y0, view.center_y, view.samples_bottom, view.height);
+    const int_v x1 = end_sample(box.x1, view.center_x, view.samples_left, view.width);
+    const int_v y1 = end_sample(box.y1, view.center_y, view.samples_top, view.height);
+    const int_v behind = box.gone;
+#endif
+    // Lanes past the last triangle, like triangles behind the eye and empty boxes, get the bound 0, 0.
     const int_v dropped = behind | (x0 >= x1) | (y0 >= y1) | (LANES >= (int)(triangle_count - k));
     const uint_v low = AS_UINT_V(dropped ? (int_v)(0) : x0 | y0 << 16);
     const uint_v high = AS_UINT_V(dropped ? (int_v)(0) : x1 | y1 << 16);
     STORE_V(low, bounds_low + k);
     STORE_V(high, bounds_high + k);
 #if PROJECTION != PROJECTION_ORTHOGRAPHIC
+#if PLANAR
     const int_v crossing = (a.crossing | b.crossing | c.crossing) & !behind & (LANES < (int)(triangle_count - k));
+#else
+    const int_v crossing = box.hard & !box.gone & (LANES < (int)(triangle_count - k));
+#endif
     if (ANY_LANE(crossing)) {
       int lane_crossing[VECTOR_WIDTH];
       uint lane_low[VECTOR_WIDTH], lane_high[VECTOR_WIDTH];
@@ -255,7 +278,11 @@ kernel void setup_triangles(
 #else
       const TriangleSetup edges = setup_triangles_3d(triangles, view);
 #endif
+#if PLANAR
       bound_crossing_lanes(lane_crossing, edges, view, lane_low, lane_high);
+#else
+      bound_hard_lanes(lane_crossing, edges, cone, view, lane_low, lane_high);
+#endif
       STORE_V(LOAD_V(lane_low), bounds_low + k);
       STORE_V(LOAD_V(lane_high), bounds_high + k);
 #if COUNTERS

@@ -21,8 +21,10 @@
 
 // Where the ray through the sample (x, y) of the viewport meets the triangle's plane: t = N . (p_0 - e) / (N . d)
 // and e + t d, with e, d0, dx, dy as DESIGN defines them. In pairs of floats, since N . d cancels where a triangle is
-// seen at a grazing angle, and e + t d where the eye is far away. t and position come in world units.
-static inline float4 meet_plane(View view, float4 p0, float4 p1, float4 p2, float x, float y, float *t) {
+// seen at a grazing angle, and e + t d where the eye is far away. t, depth along the view axis and position come in world
+// units.
+static inline float4 meet_plane(
+    View view, float4 p0, float4 p1, float4 p2, float x, float y, float4 direction, float *t, float *depth) {
   const float4 nothing = (float4)(0.0f);
   const Pair3 normal = pair_cross(pair_difference(p1, p0), pair_difference(p2, p0));
 #if PROJECTION == PROJECTION_ORTHOGRAPHIC
@@ -30,13 +32,22 @@ static inline float4 meet_plane(View view, float4 p0, float4 p1, float4 p2, floa
   const Pair3 d = pair_difference(view.axis, nothing);
 #else
   const Pair3 e = pair_difference(view.origin, nothing);
+#if PLANAR
   const Pair3 d = pair_affine3(view.first, view.tangent_x, x, view.tangent_y, y);
+#else
+  const Pair3 d = pair_difference(direction, nothing);
+#endif
 #endif
   const Pair3 p = pair_difference(p0, nothing);
   const Pair3 way = {
       pair_add(p.x, pair_negate(e.x)), pair_add(p.y, pair_negate(e.y)), pair_add(p.z, pair_negate(e.z))};
   const Pair parameter = pair_divide(pair_dot(normal, way), pair_dot(normal, d));
   *t = parameter.high / view.world_scale;
+#if PLANAR
+  *depth = *t;
+#else
+  *depth = pair_multiply(parameter, pair_dot(d, pair_difference(FORWARD(view), nothing))).high / view.world_scale;
+#endif
   const Pair at_x = pair_add(e.x, pair_multiply(parameter, d.x));
   const Pair at_y = pair_add(e.y, pair_multiply(parameter, d.y));
   const Pair at_z = pair_add(e.z, pair_multiply(parameter, d.z));
@@ -56,7 +67,8 @@ static inline Hit find_hit(
   const Vec3 a = {p0.x, p0.y, p0.z}, b = {p1.x, p1.y, p1.z}, c = {p2.x, p2.y, p2.z};
   const TriangleSetup setup = setup_triangles_3d(canonical_triangles(a, b, c), view);
   float v[3];
-  for (uint i = 0; i < 3; ++i) v[i] = edge_value(setup.edge[i].c, setup.edge[i].gx, setup.edge[i].gy, x - view.center_x, y - view.center_y);
+  const SamplePoint at = sample_point(view, x - view.center_x, y - view.center_y);
+  for (uint i = 0; i < 3; ++i) v[i] = edge_value_at(setup.edge[i], at);
   // Canonical order began with vertex 1 or 2: turn the weights back to the order of the file.
   if (is_first(b, c, a))
     weigh_vertices(&hit.at, v[2], v[0], v[1]);
@@ -64,7 +76,7 @@ static inline Hit find_hit(
     weigh_vertices(&hit.at, v[1], v[2], v[0]);
   else
     weigh_vertices(&hit.at, v[0], v[1], v[2]);
-#if FOOTPRINTS
+#if FOOTPRINTS && PLANAR
   float2 gradient[3];
   for (uint i = 0; i < 3; ++i) gradient[i] = (float2)(setup.edge[i].gx, setup.edge[i].gy) * footprint;
   if (is_first(b, c, a))
@@ -73,8 +85,10 @@ static inline Hit find_hit(
     spread_weights(&hit.at, (v[0] + v[1]) + v[2], gradient[1], gradient[2], gradient[0]);
   else
     spread_weights(&hit.at, (v[0] + v[1]) + v[2], gradient[0], gradient[1], gradient[2]);
+#elif FOOTPRINTS
+  hit.at.db0 = hit.at.db1 = hit.at.db2 = (float2)(0.0f);
 #endif
-  hit.position = meet_plane(view, p0, p1, p2, x, y, &hit.t);
+  hit.position = meet_plane(view, p0, p1, p2, x, y, direction, &hit.t, &hit.depth);
   hit.direction = direction;
   const Vec3 plane = cross3(subtract(b, a), subtract(c, a));
   hit.geometric_normal = unit((float4)(plane.x, plane.y, plane.z, 0.0f));
@@ -181,7 +195,10 @@ kernel void shade_hits(
   const float footprint = 0.0f;
 #endif
 
-#if PROJECTION == PROJECTION_ORTHOGRAPHIC
+#if !PLANAR
+  const Camera own_ray = camera_of_sample(view, view.origin, x - view.center_x, y - view.center_y);
+  const float4 direction = own_ray.direction;
+#elif PROJECTION == PROJECTION_ORTHOGRAPHIC
   const float4 direction = view.axis;
 #else
   const float4 direction =
@@ -189,7 +206,10 @@ kernel void shade_hits(
 #endif
   if (planes.ray != PLANE_NONE && layer == 0) {
     store3(out + planes.ray * stride, stride, direction);
-#if PROJECTION == PROJECTION_ORTHOGRAPHIC
+#if !PLANAR
+    store3(out + (planes.ray + 3) * stride, stride, own_ray.step_x);
+    store3(out + (planes.ray + 6) * stride, stride, own_ray.step_y);
+#elif PROJECTION == PROJECTION_ORTHOGRAPHIC
     store3(out + (planes.ray + 3) * stride, stride, view.tangent_x / view.world_scale);
     store3(out + (planes.ray + 6) * stride, stride, view.tangent_y / view.world_scale);
 #else
@@ -222,7 +242,7 @@ kernel void shade_hits(
   const Hit hit = find_hit(view, prim_id, x, y, footprint, direction, positions, indices, normals);
   const uint material_id = material_ids[prim_id];
   if (layer == 0) {
-    if (planes.depth != PLANE_NONE) out[planes.depth * stride] = hit.t;
+    if (planes.depth != PLANE_NONE) out[planes.depth * stride] = hit.depth;
     if (planes.distance != PLANE_NONE) out[planes.distance * stride] = hit.t * sqrt(dot_f4(direction, direction));
     if (planes.normal != PLANE_NONE) {
       store3(out + planes.normal * stride, stride, hit.shading_normal);

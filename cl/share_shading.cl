@@ -42,11 +42,15 @@ static inline SurfacePlane plane_of(const Ground *g, uint prim_id) {
 
 // Where the ray of the sample (X, Y) meets a plane.
 static inline float meet_surface(const Ground *g, const SurfacePlane *plane, float x, float y) {
+#if !PLANAR
+  return plane->offset / dot3(plane->normal, sample_point(g->view, x, y));
+#else
   const float4 moved = g->view.tangent_x * x + g->view.tangent_y * y;
 #if PROJECTION == PROJECTION_ORTHOGRAPHIC
   return (plane->offset - dot3s(plane->normal, moved)) / dot3s(plane->normal, g->view.axis);
 #else
   return plane->offset / dot3s(plane->normal, g->view.axis + moved);
+#endif
 #endif
 }
 
@@ -91,11 +95,20 @@ static inline uchar find_surface(const Ground *g, PixelSurfaces *s, uint prim_id
 
 // Whether a corner of a triangle lies within FINE_TRIANGLE_PIXELS of the opposite edge, about (X, Y): its weights change
 // by more than 1 over that way. Others of its surface are likely to lie beside it then, and no sample may show them.
-static inline bool is_fine_triangle(const TriangleSetup *t, float x, float y) {
+static inline bool is_fine_triangle(const Ground *g, const TriangleSetup *t, float x, float y) {
   float sum = 0.0f, steepest = 0.0f;
+  const SamplePoint at = sample_point(g->view, x, y);
+#if !PLANAR
+  const SamplePoint right = sample_point(g->view, x + 1.0f, y), below = sample_point(g->view, x, y + 1.0f);
+#endif
   for (uint i = 0; i < 3; ++i) {
-    sum += edge_value(t->edge[i].c, t->edge[i].gx, t->edge[i].gy, x, y);
+    const float value = edge_value_at(t->edge[i], at);
+    sum += value;
+#if PLANAR
     steepest = max(steepest, max(fabs(t->edge[i].gx), fabs(t->edge[i].gy)));
+#else
+    steepest = max(steepest, max(fabs(edge_value_at(t->edge[i], right) - value), fabs(edge_value_at(t->edge[i], below) - value)));
+#endif
   }
   return steepest * FINE_TRIANGLE_PIXELS > fabs(sum);
 }
@@ -115,14 +128,23 @@ static inline bool cover_samples(
     const Vec3 a = {p0.x, p0.y, p0.z}, b = {p1.x, p1.y, p1.z}, c = {p2.x, p2.y, p2.z};
     const TriangleSetup t = setup_triangles_3d(canonical_triangles(a, b, c), g->view);
     if (!t.valid) continue;
-    if (is_fine_triangle(&t, left + 0.5f, top + 0.5f)) return false;
+    if (is_fine_triangle(g, &t, left + 0.5f, top + 0.5f)) return false;
     for (uint sample = begin; sample < end; ++sample) {
       const float x = left + (float)(sample_positions[sample] & 0xffffu) / 256.0f;
       const float y = top + (float)(sample_positions[sample] >> 16) / 256.0f;
+      const SamplePoint at = sample_point(g->view, x, y);
       float v[3];
-      for (uint i = 0; i < 3; ++i) v[i] = edge_value(t.edge[i].c, t.edge[i].gx, t.edge[i].gy, x, y);
+      for (uint i = 0; i < 3; ++i) v[i] = edge_value_at(t.edge[i], at);
+#if PLANAR
       if (sample_outside(v[0], v[1], v[2], t.edge[0].exclusive, t.edge[1].exclusive, t.edge[2].exclusive) < 0) continue;
-      const float near = edge_value(t.nearness.c, t.nearness.x, t.nearness.y, x, y);
+#else
+      const Tangents along = sample_tangents(g->view, x, y);
+      bool inside = true;
+      for (uint i = 0; i < 3; ++i)
+        inside = inside && (v[i] > 0.0f || (v[i] == 0.0f && is_inclusive(t.edge[i].c, t.edge[i].gx, t.edge[i].gy, along)));
+      if (!inside) continue;
+#endif
+      const float near = edge_value(t.nearness.c, t.nearness.x, t.nearness.y, at);
       if (!(near > nearest[sample])) continue;
       nearest[sample] = near;
       out[sample] = s->surface[k];

@@ -16,6 +16,7 @@ from typing import Any
 
 from clrast.errors import UsageError
 from clrast.opencl.constants import MAX_GRID_SIDE
+from clrast.opencl.features import Edges
 from clrast.quality import PRESETS, with_preset
 from clrast.visibility.methods import AUTO, SNAPPED_METHODS, resolve_method
 from clrast.visibility.methods import METHODS as METHOD_TABLE
@@ -30,7 +31,7 @@ METHODS = AVAILABLE_METHODS
 GRID_METHODS = tuple(name for name, row in METHOD_TABLE.items() if row.grid)
 MODES = ("cast", "shadow", "whitted", "path")
 PROJECTIONS = ("perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube")
-AVAILABLE_PROJECTIONS = ("perspective", "orthographic")
+AVAILABLE_PROJECTIONS = PROJECTIONS
 QUALITIES = tuple(PRESETS)
 AOV_GROUPS = ("color", "depth", "distance", "normal", "position", "bary", "uv", "albedo", "ray", "id", "cost")
 AVAILABLE_AOV_GROUPS = AOV_GROUPS
@@ -142,8 +143,13 @@ def parse_vector(option: str, value: Any) -> Vector:
     return (x, y, z)
 
 
-def parse_fov(option: str, value: Any) -> float:
-    """A vertical angle in degrees, inside (0, 180)."""
+def parse_fov(option: str, value: Any, projection: Any = None) -> float:
+    """A vertical angle in degrees, inside (0, 180); of a fisheye, whose whole disc it is, inside (0, 360]."""
+    if projection == "fisheye":
+        degrees = parse_number(option, value, "an angle up to 360 degrees", above=0.0)
+        if degrees > 360.0:
+            raise UsageError(f"{option} {value} is out of range: give an angle up to 360 degrees")
+        return degrees
     allowed = "an angle between 0 and 180 degrees"
     degrees = parse_number(option, value, allowed, above=0.0)
     if degrees >= 180.0:
@@ -372,6 +378,26 @@ class RenderOptions:
             raise UsageError("--shading-rate sample: csaa's coverage samples have no shading: use --aa msaa:N")
 
 
+    def check_projection(self, projection: str) -> None:
+        """Raises UsageError where the options do not go with a projection; a render does it before anything else."""
+        if projection == "cube":
+            cube_side(self.size)
+            for name in ("time_budget", "resume"):
+                if getattr(self, name) is not None:
+                    option = "--" + name.replace("_", "-")
+                    raise UsageError(f"{option} is for one picture, and a cube has six: leave it out")
+        if projection not in CURVED_PROJECTIONS:
+            return
+        if self.precision == "fixed":
+            raise UsageError(f"--precision fixed needs planar views, and {projection} is none: use another rung")
+        if self.method not in (AUTO, *METHODS_OF_ANY_VIEW):
+            others = listed(METHODS_OF_ANY_VIEW)
+            raise UsageError(f"--method {self.method} needs planar views, and {projection} is none: use {others}")
+        if self.accelerator == "grid":
+            raise UsageError(f"--accelerator grid needs planar views, and {projection} is none: leave it out")
+        if self.evaluation != "direct":
+            raise UsageError(f"--evaluation {self.evaluation} is not available with {projection}: use direct")
+
     def _check_accelerator(self) -> None:
         is_grid = self.method in GRID_METHODS or (self.method == AUTO and self.accelerator == "grid")
         if self.grid_resolution is not None and not is_grid:
@@ -383,6 +409,26 @@ class RenderOptions:
             raise UsageError(f"--accelerator grid is not that of {self.method}: use --method {listed(GRID_METHODS)}")
         if self.accelerator == "bvh" and is_named:
             raise UsageError(f"--accelerator bvh is not that of {self.method}: {mend}")
+
+
+CURVED_PROJECTIONS = ("paraboloid", "latlong", "fisheye")
+"""Projections that are not planar: only 3D edges are functions over them."""
+
+METHODS_OF_ANY_VIEW = tuple(
+    name for name, row in METHOD_TABLE.items() if row.edges not in (Edges.PROJECTED, Edges.HOMOGENEOUS) and not row.grid
+)
+"""Without a grid: its rays are walked as those of a plane."""
+
+
+def cube_side(size: tuple[int, int]) -> int:
+    """Pixels a side of a cube's face, for the size of the image, W x 6W, or of one face, W x W; raises UsageError."""
+    width, height = size
+    if height not in (width, 6 * width):
+        raise UsageError(f"--size {width}x{height} is no cube's: give W x 6W, or W x W for one face")
+    if 6 * width > MAX_SIDE or 6 * width * width > MAX_PIXELS:
+        pixels = 6 * width * width
+        raise UsageError(f"--size {width}x{height} is too large for a cube, with {pixels} pixels in all: give less")
+    return width
 
 
 OPTION_NAMES = tuple(each.name for each in fields(RenderOptions))

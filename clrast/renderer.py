@@ -9,7 +9,11 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from clrast.errors import UsageError
 from clrast.image.files import check_writable
@@ -17,8 +21,8 @@ from clrast.image.frame import Frame
 from clrast.image.header import resolved_header
 from clrast.job import RenderJob
 from clrast.opencl.device import Device, open_device
-from clrast.options import RenderOptions, make_options
-from clrast.scene.camera import CameraVectors, camera_vectors, frame_scene
+from clrast.options import RenderOptions, cube_side, make_options
+from clrast.scene.camera import CameraVectors, camera_vectors, cube_faces, cube_vectors, frame_scene
 from clrast.scene.content import content_digest
 from clrast.scene.model import Camera, Scene
 from clrast.shading.accumulation import Accumulation
@@ -58,12 +62,17 @@ def render(
     width, height = options.size
     if camera is None:
         camera = scene.cameras[0] if scene.cameras else frame_scene(scene, width, height)
+    options.check_projection(camera.projection)
+    if camera.projection == "cube":
+        return render_cube(scene, camera, options, watch)
     vectors = camera_vectors(camera, width, height)
     plan = plan_effects(scene, options.aov, options.effects, options.mode)
     watch = watch or Watch()
     if options.time_budget is not None:
         watch.deadline = started + options.time_budget
     header = resolved_header(options, vectors.named(), [e.name for e in plan.effects if e.on], vectors.projection)
+    if vectors.projection == "fisheye":
+        header["fov"] = camera.fov
     accumulation = _accumulation(scene, options, header, plan, watch)
     planned = time.perf_counter()
     device = open_device(options.device, options.threads)
@@ -97,6 +106,36 @@ def _accumulation(
     check_writable(options.resume, suffixes=None)
     decides = {name: value for name, value in header.items() if name != "samples"}
     return Accumulation(watch, options.resume, content_digest(scene, decides, options.aov))
+
+
+def render_cube(scene: Scene, camera: Camera, options: RenderOptions, watch: Watch | None = None) -> Frame:
+    """Six views of 90 degrees, one below the other in OpenEXR's order; stats are those of all six."""
+    started = time.perf_counter()
+    side = cube_side(options.size)
+    options = replace(options, size=(side, 6 * side))
+    of_face = replace(options, size=(side, side))
+    frames = [render(scene, face, options=of_face, watch=watch) for face in cube_faces(camera)]
+    channels = {name: np.concatenate([frame[name] for frame in frames]) for name in frames[0]}
+    plan = plan_effects(scene, options.aov, options.effects, options.mode)
+    vectors = cube_vectors(camera)
+    header = resolved_header(options, vectors, [e.name for e in plan.effects if e.on], camera.projection)
+    if "samples" in header:
+        # Of a render that was stopped: the fewest and the most paths of any face.
+        counts = [int(count) for frame in frames for count in str(frame.header["samples"]).split("-")]
+        header["samples"] = str(min(counts)) if min(counts) == max(counts) else f"{min(counts)}-{max(counts)}"
+    stats = {**frames[-1].stats, "camera": vectors, "image": {"width": side, "height": 6 * side}}
+    for group in ("counts", "other_counts", "times_ms"):
+        stats[group] = add_counts([frame.stats[group] for frame in frames])
+    stats["counts"]["triangles"] = scene.triangle_count
+    stats["times_ms"]["total"] = 1000 * (time.perf_counter() - started)
+    return Frame(channels, header, stats)
+
+
+def add_counts(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Sums of the numbers under each name; what is None anywhere stays None."""
+    names = {name: None for table in tables for name in table}
+    found = {name: [table.get(name, 0) for table in tables] for name in names}
+    return {name: None if None in values else sum(values) for name, values in found.items()}
 
 
 def start_job(

@@ -38,13 +38,13 @@ kernel void probe_samples(
 {
   const uint first = get_global_id(0) * VECTOR_WIDTH;
   if (first >= count) return;
-  const float_v x = LOAD_V(positions + first), y = LOAD_V(positions + count + first);
+  const SamplePoint at = {LOAD_V(positions + first), LOAD_V(positions + count + first)};
   float_v v[3];
   for (uint i = 0; i < 3; ++i) {
     const float_v c = LOAD_V(edges + (3 * i + 0) * count + first);
     const float_v gx = LOAD_V(edges + (3 * i + 1) * count + first);
     const float_v gy = LOAD_V(edges + (3 * i + 2) * count + first);
-    v[i] = edge_value(c, gx, gy, x, y);
+    v[i] = edge_value(c, gx, gy, at);
     STORE_V(v[i], values + i * count + first);
   }
   const int_v x0 = LOAD_V(exclusive + first);
@@ -65,8 +65,8 @@ kernel void probe_blocks(
   STORE_V(
       block_highest(
           LOAD_V(edges + first), LOAD_V(edges + count + first), LOAD_V(edges + 2 * count + first),
-          LOAD_V(blocks + first), LOAD_V(blocks + count + first),
-          LOAD_V(blocks + 2 * count + first), LOAD_V(blocks + 3 * count + first)),
+          corner_range(LOAD_V(blocks + first), LOAD_V(blocks + count + first),
+                       LOAD_V(blocks + 2 * count + first), LOAD_V(blocks + 3 * count + first))),
       highest + first);
 }
 

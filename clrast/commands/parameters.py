@@ -41,14 +41,28 @@ LookAt = Annotated[
     _option("--look-at", metavar="X,Y,Z", text="Where to look [default: the bounding box's centre].", panel=VIEW),
 ]
 Up = Annotated[Texts, _option("--up", metavar="X,Y,Z", text="The way up [default: 0,1,0].", panel=VIEW)]
-Fov = Annotated[Texts, _option("--fov", metavar="DEG", text="Vertical angle of view [default: 45].", panel=VIEW)]
+Fov = Annotated[
+    Texts,
+    _option(
+        "--fov",
+        metavar="DEG",
+        text="Vertical angle of view [default: 45]; of a fisheye's disc, up to 360 [default: 180].",
+        panel=VIEW,
+    ),
+]
 CameraName = Annotated[
     Texts,
     _option("--camera", metavar="NAME|INDEX", text="A camera that the file brings [default: its first].", panel=VIEW),
 ]
 ProjectionName = Annotated[
     Texts,
-    _option("--projection", metavar="NAME", text="perspective or orthographic [default: the camera's].", panel=VIEW),
+    _option(
+        "--projection",
+        metavar="NAME",
+        text="perspective, orthographic, paraboloid, latlong, fisheye, or cube: six faces along the world's axes, "
+        "--size WxW (of a face) or Wx6W [default: the camera's].",
+        panel=VIEW,
+    ),
 ]
 Height = Annotated[
     Texts, _option("--height", metavar="H", text="Height of an orthographic view, world units.", panel=VIEW)

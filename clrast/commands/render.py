@@ -154,6 +154,8 @@ def make_job(values: Mapping[str, Any], started: float) -> Job:
     if make_options(given, whole=False).repeat == 0 and "repeat" in given:
         raise UsageError("--repeat 0 renders nothing: give 1 or more, or leave it out")
     view = make_view({name: single[name] for name in VIEW_NAMES})
+    if view.projection is not None:
+        make_options(given, whole=False).check_projection(view.projection)
     outputs = Outputs(tuple(dict.fromkeys(values["output"] or ())), single["stats"], bool(single["half"]))
     outputs.check_usage(single["input"])
     if not outputs.images and not (single["stats"] or single["report"] or single["json"]):

@@ -3,7 +3,8 @@
 --eye or --look-at make a new camera that replaces the file's wholly; what they leave open takes the
 defaults: the eye that frames the scene, the centre of the bounding box, up 0,1,0, fov 45. Without
 them the file's camera stays, and --projection, --up, --fov and --height replace those values of it.
-An orthographic view without a height is as high as the perspective one is at its look-at point.
+An orthographic view without a height is as high as the perspective one is at its look-at point. A fisheye's fov is that
+of its whole disc, 180 where none is given; a cube map has the axes of the world.
 """
 
 from __future__ import annotations
@@ -28,6 +29,16 @@ from clrast.scene.model import Camera, Projection, Scene
 
 DEFAULT_UP = (0.0, 1.0, 0.0)
 DEFAULT_FOV = 45.0
+DEFAULT_FISHEYE_FOV = 180.0
+UNUSED_OF = {
+    "perspective": ("height",),
+    "orthographic": ("fov",),
+    "paraboloid": ("fov", "height"),
+    "latlong": ("fov", "height"),
+    "fisheye": ("height",),
+    "cube": ("look_at", "up", "fov", "height"),
+}
+"""Options of a view that a projection has no use for."""
 VIEW_NAMES = ("eye", "look_at", "up", "fov", "camera", "projection", "height")
 
 
@@ -59,11 +70,12 @@ class Choice:
 
 def make_view(values: Mapping[str, Any]) -> View:
     """Check the options of a view, as values or as text; raises UsageError."""
-    parsers = {"eye": parse_vector, "look_at": parse_vector, "up": parse_vector, "fov": parse_fov}
+    parsers: dict[str, Any] = {"eye": parse_vector, "look_at": parse_vector, "up": parse_vector, "fov": parse_fov}
     given: dict[str, Any] = {name: value for name, value in values.items() if value is not None}
     for name, parse in parsers.items():
         if name in given:
-            given[name] = parse("--" + name.replace("_", "-"), given[name])
+            more = (given.get("projection"),) if name == "fov" else ()
+            given[name] = parse("--" + name.replace("_", "-"), given[name], *more)
     if "height" in given:
         given["height"] = parse_number("--height", given["height"], "a number above 0", above=0.0)
     if "projection" in given:
@@ -73,7 +85,7 @@ def make_view(values: Mapping[str, Any]) -> View:
         raise UsageError("--camera contradicts --eye and --look-at, which make a camera of their own: give one of them")
     if view.up == (0.0, 0.0, 0.0):
         raise UsageError("--up 0,0,0 has no direction: give one, such as 0,1,0")
-    if view.eye is not None and view.look_at is not None:
+    if view.eye is not None and view.look_at is not None and view.projection != "cube":
         check_camera(Camera(name="given", eye=view.eye, look_at=view.look_at, up=view.up or DEFAULT_UP))
     return view
 
@@ -100,7 +112,8 @@ def choose_camera(scene: Scene, view: View, size: tuple[int, int], source: str) 
     else:
         base, notes = _framing_camera(scene, view, size, source)
     camera, warnings = _apply(base, view)
-    check_camera(camera)
+    if camera.projection != "cube":
+        check_camera(camera)
     return Choice(camera, notes, warnings)
 
 
@@ -158,17 +171,22 @@ def _apply(base: Camera, view: View) -> tuple[Camera, tuple[str, ...]]:
     """`base` with the values given; those that its projection does not use become warnings."""
     projection = view.projection or base.projection
     up = view.up or base.up
-    unused = "height" if projection == "perspective" else "fov"
-    warnings: tuple[str, ...] = ()
-    if getattr(view, unused) is not None:
-        warnings = (f"--{unused} is ignored: the {projection} projection does not use it",)
+    warnings = tuple(
+        f"--{unused.replace('_', '-')} is ignored: the {projection} projection does not use it"
+        for unused in UNUSED_OF[projection]
+        if getattr(view, unused) is not None
+    )
     height = base.height
     if projection == "orthographic":
         if view.height is not None:
             height = view.height
         elif base.projection == "perspective":
             height = 2 * math.dist(base.eye, base.look_at) * math.tan(math.radians(base.fov) / 2)
-    fov = view.fov if view.fov is not None and projection == "perspective" else base.fov
+    fov = base.fov
+    if view.fov is not None and projection in ("perspective", "fisheye"):
+        fov = view.fov
+    elif projection == "fisheye" and base.projection != "fisheye":
+        fov = DEFAULT_FISHEYE_FOV
     return replace(base, projection=cast(Projection, projection), up=up, fov=fov, height=height), warnings
 
 

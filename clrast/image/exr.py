@@ -38,6 +38,10 @@ def write_exr(
     import OpenImageIO as oiio
 
     specs = [_spec(oiio, part, half) for part in parts]
+    if (header or {}).get("projection") == "cube":
+        for spec in specs:
+            spec.attribute("textureformat", "CubeFace Environment")  # which is written as `envmap`
+            spec.attribute("openexr:levelmode", 0)  # one level: else OpenImageIO waits for those of a mipmap
     for key, value in (header or {}).items():
         _set_attribute(oiio, specs[0], HEADER_PREFIX + key, value)
 

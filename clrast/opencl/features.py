@@ -25,6 +25,7 @@ class Projection(IntEnum):
     ORTHOGRAPHIC = 1
     PARABOLOID = 2
     LATLONG = 3
+    FISHEYE = 4
 
 
 class Edges(IntEnum):

@@ -16,10 +16,11 @@ VIEW = np.dtype(
     [
         ("origin", "<f4", 4),  # perspective: eye; orthographic: ray origin of the image's centre
         ("origin_low", "<f4", 4),  # orthographic: what float32 lost of that origin
-        ("axis", "<f4", 4),  # perspective: d at the image's centre; orthographic: d
+        ("axis", "<f4", 4),  # perspective: d at the image's centre; orthographic: d; not planar: forward
         ("axis_low", "<f4", 4),  # perspective: what float32 lost of that d
-        ("tangent_x", "<f4", 4),  # change of d (perspective) or of the origin (orthographic) per pixel to the right
-        ("tangent_y", "<f4", 4),  # the same per pixel downwards
+        # change of d (perspective) or of the origin (orthographic) per pixel to the right; not planar: right
+        ("tangent_x", "<f4", 4),
+        ("tangent_y", "<f4", 4),  # the same per pixel downwards; not planar: up
         ("inverse_x", "<f4", 4),  # dot with (p - origin): X (times depth in perspective), for bounds only
         ("inverse_y", "<f4", 4),
         ("inverse_w", "<f4", 4),  # dot with (p - origin): depth along the view axis
@@ -28,7 +29,8 @@ VIEW = np.dtype(
         ("origin_reach", "<f4", 4),  # orthographic: the same of a ray's origin relative to `origin`
         ("center_x", "<f4"),  # width / 2, exact; X = x - center_x
         ("center_y", "<f4"),
-        ("focal", "<f4"),  # pixels: scale of the screen's rounding errors (see cl/setup_triangles.cl)
+        # pixels: scale of the screen's rounding errors (see cl/setup_triangles.cl); fisheye: the rim's angle, turns
+        ("focal", "<f4"),
         ("world_scale", "<f4"),  # power of two by which positions and origin are multiplied on the device
         ("sample_x", "<f4"),  # where in its pixel a sample lies: a multiple of 1/256 in [0, 1), the centre by default
         ("sample_y", "<f4"),

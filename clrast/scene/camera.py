@@ -62,12 +62,20 @@ def _float32(a: Vector) -> Vector:
     return (x, y, z)
 
 
+PLANAR_PROJECTIONS = ("perspective", "orthographic")
+"""Projections whose samples lie in a plane; edge functions are linear over it."""
+
+MAX_FISHEYE_FOV = 360.0
+
+
 @dataclass(frozen=True)
 class CameraVectors:
     """The ray basis of a view for one image size; all values are float32 numbers.
 
     perspective: `origin` = e, `first` = d0, `tangent_x` = dx, `tangent_y` = dy.
     orthographic: `direction` = d, `first` = e0, `tangent_x` = ex, `tangent_y` = ey.
+    others: `origin` = e, `direction` = forward, `tangent_x` = right, `tangent_y` = up; `first` is 0.
+    rim : of a fisheye, the angle between forward and the disc's rim, in turns.
     """
 
     projection: str
@@ -78,6 +86,12 @@ class CameraVectors:
     first: Vector
     tangent_x: Vector
     tangent_y: Vector
+    rim: float = 0.0
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether rays are linear in the sample's place."""
+        return self.projection in PLANAR_PROJECTIONS
 
     def named(self) -> dict[str, list[float]]:
         """The vectors under the names of the stats' `camera` entry."""
@@ -87,6 +101,13 @@ class CameraVectors:
                 "e0": list(self.first),
                 "ex": list(self.tangent_x),
                 "ey": list(self.tangent_y),
+            }
+        if not self.is_planar:
+            return {
+                "e": list(self.origin),
+                "right": list(self.tangent_x),
+                "up": list(self.tangent_y),
+                "forward": list(self.direction),
             }
         return {
             "e": list(self.origin),
@@ -127,6 +148,8 @@ def camera_vectors(camera: Camera, width: int, height: int) -> CameraVectors:
     Raises UsageError for a degenerate camera.
     """
     forward, right, up = view_basis(camera)
+    if camera.projection not in PLANAR_PROJECTIONS:
+        return _curved_vectors(camera, width, height, forward, right, up)
     if camera.projection == "orthographic":
         if not (math.isfinite(camera.height) and camera.height > 0):
             raise UsageError(f"camera '{camera.name}': height {camera.height} must be positive")
@@ -152,6 +175,60 @@ def camera_vectors(camera: Camera, width: int, height: int) -> CameraVectors:
         tangent_x=_float32(tangent_x),
         tangent_y=_float32(tangent_y),
     )
+
+
+def _curved_vectors(
+    camera: Camera, width: int, height: int, forward: Vector, right: Vector, up: Vector
+) -> CameraVectors:
+    """The ray basis of a view that is not planar."""
+    rim = 0.0
+    if camera.projection == "fisheye":
+        if not 0 < camera.fov <= MAX_FISHEYE_FOV:
+            raise UsageError(f"camera '{camera.name}': a fisheye's fov {camera.fov} must lie between 0 and 360 degrees")
+        rim = float(np.float32(camera.fov / 720))
+        if rim < SMALLEST_TANGENT:
+            raise UsageError(f"camera '{camera.name}': its view is too small for float32: give a larger fov")
+    return CameraVectors(
+        projection=camera.projection,
+        width=width,
+        height=height,
+        origin=_float32(camera.eye),
+        direction=_float32(forward),
+        first=(0.0, 0.0, 0.0),
+        tangent_x=_float32(right),
+        tangent_y=_float32(up),
+        rim=rim,
+    )
+
+
+_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
+CUBE_FACES: tuple[tuple[str, Vector, Vector], ...] = (
+    ("+X", _X, _Y),
+    ("-X", _scale(_X, -1.0), _Y),
+    ("+Y", _Y, _Z),
+    ("-Y", _scale(_Y, -1.0), _scale(_Z, -1.0)),
+    ("+Z", _Z, _Y),
+    ("-Z", _scale(_Z, -1.0), _Y),
+)
+"""Faces of a cube map from top to bottom: name, forward and up in the world, as OpenEXR's ImfEnvmap.h lays them out."""
+
+
+def cube_faces(camera: Camera) -> list[Camera]:
+    """The six views of a cube map round a camera's eye, along the world's axes; its look-at and up are not used."""
+    faces = []
+    for name, forward, up in CUBE_FACES:
+        # At the eye's own scale, so that the sum moves.
+        reach = 2.0 ** math.frexp(max(1.0, *map(abs, camera.eye)))[1]
+        target = _add(camera.eye, _scale(forward, reach))
+        faces.append(Camera(f"{camera.name} {name}", "perspective", camera.eye, target, up, fov=90.0))
+    return faces
+
+
+def cube_vectors(camera: Camera) -> dict[str, list[float]]:
+    """What the stats call the camera of a cube map: +Z lies forward, +Y up, so that +X lies to the left."""
+    right, up, forward = _scale(_X, -1.0), _Y, _Z
+    return {"e": list(_float32(camera.eye)), "right": [*right], "up": [*up], "forward": [*forward]}
 
 
 def frame_scene(scene: Scene, width: int, height: int, projection: str = "perspective") -> Camera:

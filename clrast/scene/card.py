@@ -279,7 +279,7 @@ class CardReader:
                 eye=(entry.eye[0], entry.eye[1], entry.eye[2]),
                 look_at=(entry.look_at[0], entry.look_at[1], entry.look_at[2]),
                 up=(entry.up[0], entry.up[1], entry.up[2]),
-                fov=entry.fov,
+                fov=entry.fov or (180.0 if entry.projection == "fisheye" else 45.0),
                 height=entry.height,
             )
             try:

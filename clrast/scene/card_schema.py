@@ -230,12 +230,18 @@ class LightTable(Table):
 
 class CameraTable(Table):
     name: str | None = None
-    projection: Literal["perspective", "orthographic"] = "perspective"
+    projection: Literal["perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube"] = "perspective"
     eye: Vector3
     look_at: Vector3 = [0.0, 0.0, 0.0]
     up: Vector3 = [0.0, 1.0, 0.0]
-    fov: Annotated[float, Field(gt=0.0, lt=180.0)] = 45.0
+    fov: Annotated[float, Field(gt=0.0, le=360.0)] | None = None
     height: Annotated[float, Field(gt=0.0, le=1e30)] = 2.0
+
+    @model_validator(mode="after")
+    def _check_fov(self) -> CameraTable:
+        if self.fov is not None and self.fov >= 180.0 and self.projection != "fisheye":
+            raise ValueError(f"fov is {self.fov:g}, it should be less than 180 (of a fisheye up to 360): mend it")
+        return self
 
 
 class EnvironmentTable(Table):

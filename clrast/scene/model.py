@@ -13,7 +13,7 @@ import numpy as np
 
 AlphaMode = Literal["OPAQUE", "MASK", "BLEND"]
 WrapMode = Literal["repeat", "mirror", "clamp"]
-Projection = Literal["perspective", "orthographic"]
+Projection = Literal["perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube"]
 LightKind = Literal["point", "spot", "directional"]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from clrast.opencl import buffers, kernels
 from clrast.opencl.constants import LIST_CHUNK
 from clrast.opencl.device import Device
-from clrast.opencl.features import Features
+from clrast.opencl.features import Features, Projection
 from clrast.shading.edge_pixels import BYTES_PER_PIXEL, EdgePixels, padded
 from clrast.shading.filters import reach_of, weight_table
 from clrast.shading.shade import WORK_GROUP, Shader
@@ -25,8 +25,13 @@ TYPICAL_SURFACES = 2
 """Surfaces an edge pixel that memory is planned for where no budget is given."""
 
 
-def surface_distance(view: np.ndarray) -> float:
+def surface_distance(view: np.ndarray, projection: Projection) -> float:
     """Half the size of a pixel: in device units where rays are parallel, else as a share of t."""
+    if projection is Projection.LATLONG:
+        return float(np.float32(math.pi / 2 / max(float(view["width"]) / 2, float(view["height"]))))
+    if projection in (Projection.PARABOLOID, Projection.FISHEYE):
+        turns = float(view["focal"]) if projection is Projection.FISHEYE else 0.25
+        return float(np.float32(0.5 * 2 * math.pi * turns / min(float(view["center_x"]), float(view["center_y"]))))
     x, y = (math.sqrt(sum(float(c) ** 2 for c in view[name][:3].tolist())) for name in ("tangent_x", "tangent_y"))
     return float(np.float32(0.5 * min(x, y)))
 
@@ -44,6 +49,7 @@ class Multisampler:
         max_pixels: int,
     ) -> None:
         self.device, self.wanted, self.shader = device, wanted, shader
+        self._projection = features.projection
         self.counts: dict[str, int] = {}
         self.own_launches = 0
         self.reach = reach_of(filter_name)
@@ -98,8 +104,9 @@ class Multisampler:
         }  # fmt: skip
         geometry = self.shader.geometry
         self._launch(
-            "group_samples", padded(edge_count), WORK_GROUP, view=view, surface_distance=surface_distance(view),
-            positions=geometry.positions, indices=geometry.indices, center_prims=self.edges.center,
+            "group_samples", padded(edge_count), WORK_GROUP, view=view,
+            surface_distance=surface_distance(view, self._projection), center_prims=self.edges.center,
+            positions=geometry.positions, indices=geometry.indices,
             **self.shader.surfaces.named("object_ids", "material_ids"), **of_samples,
         )  # fmt: skip
         count = self.edges.sum_entries(room("new_surfaces"), edge_count)

@@ -22,7 +22,7 @@ from clrast.job import RenderJob
 from clrast.opencl.device import Device, open_device
 from clrast.opencl.features import Edges, Precision, Projection
 from clrast.options import AVAILABLE_METHODS, METHODS, RenderOptions
-from clrast.scene.camera import CameraVectors, camera_vectors
+from clrast.scene.camera import PLANAR_PROJECTIONS, CameraVectors, camera_vectors
 from clrast.scene.model import Camera, Scene
 from clrast.shading.effects import EffectPlan, plan_effects
 from clrast.study.auto_choice import AutoChoice, choose_automatically
@@ -293,6 +293,8 @@ def compare_scene(
     if options.precision == "fixed":
         raise UsageError("--precision fixed is for 2dr-brute and 2dr-binning alone: compare methods at another rung")
     options = replace(options, aov=("id",), counters=False, repeat=0, oracle=(), intersection="edge", method=AUTO)
+    if camera.projection not in PLANAR_PROJECTIONS:
+        raise UsageError(f"2D methods need planar views, and {camera.projection} is none: use perspective")
     vectors = camera_vectors(camera, *options.size)
     plan = plan_effects(scene, options.aov, options.effects)
     device = open_device(options.device, options.threads)

@@ -60,7 +60,8 @@ def build_camera(camera: CameraVectors) -> np.ndarray:
     vectors = np.zeros((), dtype=CAMERA)
     is_parallel = camera.projection == "orthographic"
     vectors["origin"][:3] = camera.first if is_parallel else camera.origin
-    vectors["direction"][:3] = camera.direction if is_parallel else camera.first
+    # Not planar: each sample has a direction and steps of its own, found on the device.
+    vectors["direction"][:3] = camera.direction if is_parallel or not camera.is_planar else camera.first
     vectors["step_x"][:3], vectors["step_y"][:3] = camera.tangent_x, camera.tangent_y
     return vectors
 
@@ -106,6 +107,30 @@ def build_view(camera: CameraVectors, low: np.ndarray, high: np.ndarray, tile_lo
     """
     scale = world_scale(camera, low, high)
     view = np.zeros((), dtype=VIEW)
+    if camera.is_planar:
+        _set_planar(view, camera, scale, low, high)
+    else:
+        view["origin"] = _split(_times(camera.origin, scale))[0]
+        view["axis"][:3], view["tangent_x"][:3], view["tangent_y"][:3] = (
+            camera.direction, camera.tangent_x, camera.tangent_y,
+        )  # fmt: skip
+        view["focal"] = camera.rim
+        view["direction_reach"][:3] = 1 + 2.0**-20
+    view["center_x"], view["center_y"] = camera.width / 2, camera.height / 2
+    place_samples(view, CENTER)
+    spread_samples(view, (CENTER,))
+    view["world_scale"] = scale
+    view["width"], view["height"] = camera.width, camera.height
+    tile = 1 << tile_log2
+    view["tile_columns"] = (camera.width + tile - 1) // tile
+    view["tile_rows"] = (camera.height + tile - 1) // tile
+    view["band_rows"] = view["tile_rows"]
+    return view
+
+
+def _set_planar(view: np.ndarray, camera: CameraVectors, scale: float, low: np.ndarray, high: np.ndarray) -> None:
+    """Set what a planar view is made of; arguments as of `build_view`."""
+    view["center_x"], view["center_y"] = camera.width / 2, camera.height / 2
     center = camera.center()
     tangent_x, tangent_y = camera.tangent_x, camera.tangent_y
     if camera.projection == "orthographic":
@@ -129,15 +154,5 @@ def build_view(camera: CameraVectors, low: np.ndarray, high: np.ndarray, tile_lo
     view["inverse_w"] = _split(_times(_cross(tangent_x, tangent_y), 1.0 / determinant))[0]
     view["tangent_x"] = _split(tangent_x)[0]
     view["tangent_y"] = _split(tangent_y)[0]
-    view["center_x"], view["center_y"] = camera.width / 2, camera.height / 2
-    place_samples(view, CENTER)
-    spread_samples(view, (CENTER,))
-    view["world_scale"] = scale
     reach_center = _times(center, scale) if camera.projection == "orthographic" else center
     _find_reaches(view, camera, reach_center, (tangent_x, tangent_y))
-    view["width"], view["height"] = camera.width, camera.height
-    tile = 1 << tile_log2
-    view["tile_columns"] = (camera.width + tile - 1) // tile
-    view["tile_rows"] = (camera.height + tile - 1) // tile
-    view["band_rows"] = view["tile_rows"]
-    return view
