@@ -49,14 +49,15 @@ kernel void probe_bounds(
   TriangleSetup setup = setup_triangles_3d(t, view);
   const ErrorBounds bound = bound_errors(t, setup.volume, view, view.direction_reach);
   const float_v right = (float_v)(view.center_x - 0.5f), low = (float_v)(view.center_y - 0.5f);
-  const float_v nearest = block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, -right, -low, right, low);
+  const BlockRange range = BLOCK_RANGE(view, -right, -low, right, low);
+  const float_v nearest = block_highest(setup.nearness.c, setup.nearness.x, setup.nearness.y, range);
   float span[VECTOR_WIDTH];
   widen_nearness(&setup.nearness, bound, nearest, view.center_x, view.center_y, span);
   for (uint n = 0; n < 7; ++n) {
     const float_v x = LOAD_V(positions + 2 * n * count + k), y = LOAD_V(positions + (2 * n + 1) * count + k);
     for (uint i = 0; i < 3; ++i)
-      STORE_V(edge_value(setup.edge[i].c, setup.edge[i].gx, setup.edge[i].gy, x, y), edges + (3 * n + i) * count + k);
-    const float_v upper = edge_value(setup.nearness.c, setup.nearness.x, setup.nearness.y, x, y);
+      STORE_V(edge_value_at(setup.edge[i], sample_point(view, x, y)), edges + (3 * n + i) * count + k);
+    const float_v upper = edge_value(setup.nearness.c, setup.nearness.x, setup.nearness.y, sample_point(view, x, y));
     STORE_V(upper, near + 2 * n * count + k);
     STORE_V(upper - LOAD_V(span), near + (2 * n + 1) * count + k);
   }

@@ -270,7 +270,7 @@ def test_samplers(tmp_path):
         lambda w: with_image(w, wrapS=33071, wrapT=33648, magFilter=9728, minFilter=9987),
         emissiveTexture={"index": 0},
     )
-    assert material.emissive_texture == TextureUse(0, wrap_u="clamp", wrap_v="mirror", nearest=True)
+    assert material.emissive_texture == TextureUse(0, wrap_u="clamp", wrap_v="mirror", nearest=True, mipmap=True)
     material, _, more = loaded_material(
         tmp_path, lambda w: with_image(w, wrapS=7, magFilter=9729), emissiveTexture={"index": 0}
     )
