@@ -23,10 +23,15 @@
 #endif
 
 // A scene's triangles in the order of a hierarchy's leaves, and the hierarchy.
+//
+// For tests against rays leaves lie in blocks of BLOCK_LANES triangles as structures of arrays, BLOCK_WORDS numbers each:
+// one load a component, where corners that lie apart take dozens of permutations.
 typedef struct {
+  global const float *blocks;      // [block_count * BLOCK_WORDS * BLOCK_LANES] x y z of the corners, then of the normal
+  global const uint *block_slots;  // [block_count] slot of a block's first triangle
   global const float4 *corners;    // [3 * triangle_count] as prepare_triangles.cl leaves them, by slot
   global const uint *prims;        // [triangle_count] prim_id of each slot
-  global const uint *children;     // [nodes * NODE_WIDTH] node; or LEAF_BIT | (triangles - 1) << LEAF_SLOT_LOG2 | first slot
+  global const uint *children;     // [nodes * NODE_WIDTH] node; or LEAF_BIT | (triangles - 1) << LEAF_SLOT_LOG2 | first block
   global const float *node_boxes;  // [nodes * 6 * NODE_WIDTH] min x, y, z, max x, y, z of each child
 #if MASKED
   global const float4 *positions;  // [vertex_count] world space
@@ -43,7 +48,7 @@ typedef struct {
 } Best;
 
 // Whether a ray that surely hits triangle `slot` does so before the best; intervals alone cannot tell.
-static bool comes_before(const Hierarchy *h, Ray ray, uint slot, uint prim_id, const Best *best) {
+__attribute__((noinline)) static bool comes_before(const Hierarchy *h, Ray ray, uint slot, uint prim_id, const Best *best) {
   const Place at = {0, 0};
   Rungs rungs = {false, false};
   return goes_before(corners_of_slot(h->corners, slot), prim_id, corners_of_slot(h->corners, best->slot), best->prim_id, camera_of(ray), at, &rungs);
@@ -70,22 +75,46 @@ static bool lets_through(const Hierarchy *h, const Best *hit, bool any_hit) {
 }
 #endif
 
-static bool covers_ray(const Hierarchy *h, Ray ray, uint slot) {
+__attribute__((noinline)) static bool covers_ray(const Hierarchy *h, Ray ray, uint slot) {
   const Place at = {0, 0};
   Rungs rungs = {false, false};
   return covers(corners_of_slot(h->corners, slot), camera_of(ray), at, &rungs);
 }
 
-// Tests triangles first .. end - 1; returns whether one was hit that is better than `best`, which becomes it.
-static bool meet_leaf(const Hierarchy *h, Ray ray, uint first, uint end, bool any_hit, Best *best) {
+// One component of VECTOR_WIDTH triangles from lane `first` of block `low` on; 16 take the eight of block `high` as well.
+INLINE float_v load_component(global const float *low, global const float *high, uint word, uint first) {
+#if VECTOR_WIDTH == 16
+  return (float16)(vload8(word, low), vload8(word, high));
+#elif VECTOR_WIDTH == 8
+  return vload8(word, low);
+#else
+  return low[word * BLOCK_LANES + first];
+#endif
+}
+
+INLINE Triangles load_triangles(const Hierarchy *h, uint block, uint last, uint first) {
+  global const float *low = h->blocks + (size_t)block * (BLOCK_WORDS * BLOCK_LANES);
+  global const float *high = h->blocks + (size_t)last * (BLOCK_WORDS * BLOCK_LANES);
+  Triangles t;
+  Vec3 *parts[4] = {&t.p0, &t.p1, &t.p2, &t.normal};
+#pragma unroll
+  for (uint k = 0; k < 4; ++k) {
+    parts[k]->x = load_component(low, high, 3 * k, first);
+    parts[k]->y = load_component(low, high, 3 * k + 1, first);
+    parts[k]->z = load_component(low, high, 3 * k + 2, first);
+  }
+  return t;
+}
+
+// Tests the `count` triangles of a leaf; returns whether one was hit that is better than `best`, which becomes it.
+static bool meet_leaf(const Hierarchy *h, Ray ray, uint leaf_block, uint count, bool any_hit, Best *best) {
   bool improved = false;
-  for (uint k = first; k < end; k += VECTOR_WIDTH) {
-    uint slots[VECTOR_WIDTH];
-    for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) slots[lane] = min(k + lane, end - 1);
-    const TriangleHits found = intersect_triangles(gather_triangles(h->corners, slots), ray);
+  for (uint k = 0; k < count; k += VECTOR_WIDTH) {
+    const uint block = leaf_block + k / BLOCK_LANES, last = leaf_block + (count - 1) / BLOCK_LANES;
+    const TriangleHits found = intersect_triangles(load_triangles(h, block, last, k % BLOCK_LANES), ray);
     if (!has_lane(found.hit | found.open)) continue;
     const int_v wanted = (found.hit | found.open) & (found.t > ray.t_min) & (found.t < ray.t_max) &
-                         (found.low <= best->high) & (LANES < (int)(end - k));
+                         (found.low <= best->high) & (LANES < (int)(count - k));
     ulong mask = LANE_MASK(wanted);
     if (mask == 0) continue;
     int hit[VECTOR_WIDTH];
@@ -97,7 +126,7 @@ static bool meet_leaf(const Hierarchy *h, Ray ray, uint first, uint end, bool an
     for (uint i = 0; i < 3; ++i) STORE_V(found.edge[i], edge[i]);
     for (; mask != 0; mask &= mask - 1) {
       const int lane = first_lane(mask);
-      const uint slot = k + lane, prim_id = h->prims[slot];
+      const uint slot = h->block_slots[block + lane / BLOCK_LANES] + (k + lane) % BLOCK_LANES, prim_id = h->prims[slot];
       if (prim_id == ray.excluded || low[lane] > best->high) continue;
       if (!hit[lane] && !covers_ray(h, ray, slot)) continue;
       if (best->prim_id != NO_HIT && high[lane] >= best->low && !comes_before(h, ray, slot, prim_id, best)) continue;
@@ -117,8 +146,8 @@ static bool meet_leaf(const Hierarchy *h, Ray ray, uint first, uint end, bool an
 INLINE void expect_leaf(const Hierarchy *h, uint child) {
 #if PREFETCH
   if (!(child & LEAF_BIT)) return;
-  const size_t address = (size_t)(h->corners + 3 * (size_t)(child & LEAF_SLOT));
-  for (size_t line = 0; line < 384; line += 64) __builtin_prefetch((const void *)(address + line));
+  const size_t address = (size_t)(h->blocks + (size_t)(child & LEAF_SLOT) * (BLOCK_WORDS * BLOCK_LANES));
+  for (size_t line = 0; line < 4 * BLOCK_WORDS * BLOCK_LANES; line += 64) __builtin_prefetch((const void *)(address + line));
 #endif
 }
 
@@ -186,7 +215,7 @@ INLINE Best trace(const Hierarchy *h, Ray ray, bool any_hit) {
       top = push_entered(h, ray, child, best.high, !any_hit, stack, top);
     } else {
       const uint first = child & LEAF_SLOT, count = (child >> LEAF_SLOT_LOG2 & (MAX_LEAF_COUNT - 1)) + 1;
-      if (meet_leaf(h, ray, first, first + count, any_hit, &best) && any_hit) return best;
+      if (meet_leaf(h, ray, first, count, any_hit, &best) && any_hit) return best;
     }
     ulong key;
     do {
@@ -204,6 +233,8 @@ kernel void trace_closest(
     global const float4 *restrict origins,     // [ray_count] xyz world space, w t_min, exclusive, not negative
     global const float4 *restrict directions,  // [ray_count] xyz, any length within 2^-60 .. 2^60, w t_max, exclusive
     global const uint *restrict excluded,      // [ray_count] prim_id that the ray does not meet, or NO_HIT
+    global const float *restrict blocks,       // [block_count * BLOCK_WORDS * BLOCK_LANES], see Hierarchy
+    global const uint *restrict block_slots,   // [block_count]
     global const float4 *restrict corners,     // [3 * triangle_count] by slot
     global const uint *restrict prims,         // [triangle_count] prim_id of each slot
     global const uint *restrict children,      // [nodes * NODE_WIDTH]
@@ -226,7 +257,7 @@ kernel void trace_closest(
 {
   const uint item = get_global_id(0);
   if (item >= ray_count) return;
-  const Hierarchy h = {corners, prims, children, node_boxes
+  const Hierarchy h = {blocks, block_slots, corners, prims, children, node_boxes
 #if MASKED
                        , positions, indices, {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors}
 #endif
@@ -249,6 +280,8 @@ kernel void trace_any(
     global const float4 *restrict origins,     // [ray_count] xyz world space, w t_min, exclusive, not negative
     global const float4 *restrict directions,  // [ray_count] xyz, any length within 2^-60 .. 2^60, w t_max, exclusive
     global const uint *restrict excluded,      // [ray_count] prim_id that the ray does not meet, or NO_HIT
+    global const float *restrict blocks,       // [block_count * BLOCK_WORDS * BLOCK_LANES], see Hierarchy
+    global const uint *restrict block_slots,   // [block_count]
     global const float4 *restrict corners,     // [3 * triangle_count] by slot
     global const uint *restrict prims,         // [triangle_count] prim_id of each slot
     global const uint *restrict children,      // [nodes * NODE_WIDTH]
@@ -271,12 +304,35 @@ kernel void trace_any(
 {
   const uint item = get_global_id(0);
   if (item >= ray_count) return;
-  const Hierarchy h = {corners, prims, children, node_boxes
+  const Hierarchy h = {blocks, block_slots, corners, prims, children, node_boxes
 #if MASKED
                        , positions, indices, {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors}
 #endif
   };
   occluded[item] = trace(&h, make_ray(origins[item], directions[item], excluded[item]), true).prim_id != NO_HIT;
+}
+
+// Reads: corners (prepare_triangles), block_slots, block_counts (host). Writes: blocks (for trace_*). Work item: one block.
+// Local memory: 0 bytes.
+kernel void pack_leaves(
+    uint block_count,
+    global const float4 *restrict corners,     // [3 * triangle_count] by slot
+    global const uint *restrict block_slots,   // [block_count] slot of a block's first triangle
+    global const uint *restrict block_counts,  // [block_count] its triangles: the last of them fills what is left
+    global float *restrict blocks)             // [block_count * BLOCK_WORDS * BLOCK_LANES]
+{
+  const uint block = get_global_id(0);
+  if (block >= block_count) return;
+  global float *own = blocks + (size_t)block * (BLOCK_WORDS * BLOCK_LANES);
+  for (uint lane = 0; lane < BLOCK_LANES; ++lane) {
+    global const float4 *from = corners + 3 * (size_t)(block_slots[block] + min(lane, block_counts[block] - 1));
+    for (uint k = 0; k < 3; ++k) {
+      own[(3 * k) * BLOCK_LANES + lane] = from[k].x;
+      own[(3 * k + 1) * BLOCK_LANES + lane] = from[k].y;
+      own[(3 * k + 2) * BLOCK_LANES + lane] = from[k].z;
+      own[(9 + k) * BLOCK_LANES + lane] = from[k].w;
+    }
+  }
 }
 
 // Reads: prims_hit, weights (trace_closest, or the host). Writes: origins (for trace_*). Work item: one hit.

@@ -104,9 +104,15 @@ EMPTY_CHILD = 0xFFFFFFFF
 MAX_LEAF_COUNT = 16
 """Triangles of a leaf, for rays: their number less 1 stands in the four bits under LEAF_BIT."""
 
+BLOCK_LANES = 8
+"""Triangles of a block of a leaf, for rays; a leaf has whole blocks."""
+
+BLOCK_WORDS = 12
+"""Numbers of each triangle in a block: three corners and the plane's normal."""
+
 LEAF_SLOT_LOG2 = 27
 LEAF_SLOT = (1 << LEAF_SLOT_LOG2) - 1
-"""Of such a leaf: the bits of its first slot."""
+"""Of such a leaf: the bits of its first block."""
 
 WORK_COUNTERS = (
     "setups", "edge_evaluations", "samples_tested", "samples_covered", "samples_written", "traversal_steps",

@@ -104,7 +104,7 @@ class Integrator:
         geometry = build_geometry(device, tracing, scene.positions, scene.triangles, 1.0, bvh)
         masks = surfaces.named(*MASK_ARGUMENTS) if any(masked.values()) else None
         self.tracer = RayTracer(device, tracing, geometry, masks)
-        self.nbytes = geometry.nbytes
+        self.nbytes = geometry.nbytes + self.tracer.nbytes
         self._mesh = {"positions": geometry.world_positions, "indices": geometry.indices, **surfaces.named("normals")}
         self._surfaces = surfaces.named(*SURFACES)
         self._lighting = kernels.build(device, "light_hits.cl", features)

@@ -16,7 +16,15 @@ from clrast.errors import CapacityError, DeviceError, SceneError, UsageError
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features, Precision, Projection
-from clrast.opencl.layout import LEAF_SLOT, LEAF_SLOT_LOG2, MAX_LEAF_COUNT, NO_HIT
+from clrast.opencl.layout import (
+    BLOCK_LANES,
+    BLOCK_WORDS,
+    LEAF_BIT,
+    LEAF_SLOT,
+    LEAF_SLOT_LOG2,
+    MAX_LEAF_COUNT,
+    NO_HIT,
+)
 from clrast.opencl.runtimes import PREFETCHING
 from clrast.visibility.bvh import Bvh, build_bvh
 from clrast.visibility.frusta import stack_capacity
@@ -107,7 +115,8 @@ class RayTracer:
 
     features : of `ray_features`. geometry : built with these, at world_scale 1, with its hierarchy. masks : with
     features.alpha_mask or alpha_blend what surfaces are looked up in, by the arguments of trace_rays.cl; rays then
-    pass where a surface is masked, and `any` also where it blends and is thin. `launches` : kernels launched.
+    pass where a surface is masked, and `any` also where it blends and is thin. `launches` : kernels launched. `nbytes` : of the hierarchy and its
+    leaves on the device.
     Raises DeviceError on drivers that limit loops.
     """
 
@@ -122,12 +131,24 @@ class RayTracer:
         self.launches = 0
         self._program = kernels.build(device, "trace_rays.cl", features)
         self._masks = dict(masks or {})
+        children, slots, counts = _leaf_blocks(bvh)
         self._scene = {
+            "blocks": buffers.create(device, 4 * BLOCK_WORDS * BLOCK_LANES * len(slots)),
+            "block_slots": buffers.upload(device, slots),
             "corners": geometry.corners,
             "prims": geometry.prims,
-            "children": buffers.upload(device, _children_with_counts(bvh)),
+            "children": buffers.upload(device, children),
             "node_boxes": buffers.upload(device, bvh.boxes),
         }
+        self.nbytes = (4 * BLOCK_WORDS * BLOCK_LANES + 4) * len(slots) + children.nbytes + bvh.boxes.nbytes
+        self._program.launch(
+            "pack_leaves",
+            -(-len(slots) // WORK_GROUP) * WORK_GROUP,
+            WORK_GROUP,
+            block_count=len(slots),
+            block_counts=buffers.upload(device, counts),
+            **{name: self._scene[name] for name in ("corners", "block_slots", "blocks")},
+        )
         self._vertices = {"positions": geometry.world_positions, "indices": geometry.indices}
 
     def closest(
@@ -258,15 +279,23 @@ class RayTracer:
             self.launches += 1
 
 
-def _children_with_counts(bvh: Bvh) -> np.ndarray:
-    """Children as trace_rays.cl takes them: leaves with the number of their triangles. Raises CapacityError."""
-    most, slots = int(bvh.counts.max(initial=0)), len(bvh.prims)
-    if most > MAX_LEAF_COUNT or slots > LEAF_SLOT + 1:
-        allowed = f"{LEAF_SLOT + 1} triangles, {MAX_LEAF_COUNT} of a leaf"
-        raise CapacityError(f"rays take at most {allowed}, here are {slots}, {most} of a leaf: take a smaller scene")
+def _leaf_blocks(bvh: Bvh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Children as trace_rays.cl takes them, leaves with the number of their triangles and their first block; and of all
+    blocks the first slots and the numbers of triangles: uint32 arrays. Raises CapacityError."""
     is_leaf = bvh.counts > 0
-    packed = bvh.children | (bvh.counts - is_leaf).astype(np.uint32) << np.uint32(LEAF_SLOT_LOG2)
-    return np.where(is_leaf, packed, bvh.children).astype(np.uint32)
+    counts, first_slots = bvh.counts[is_leaf].astype(np.int64), (bvh.children[is_leaf] & ~np.uint32(LEAF_BIT)).astype(np.int64)
+    of_leaf = -(-counts // BLOCK_LANES)
+    firsts = np.cumsum(of_leaf) - of_leaf
+    total, most = int(of_leaf.sum()), int(counts.max(initial=0))
+    if most > MAX_LEAF_COUNT or total > LEAF_SLOT + 1:
+        allowed = f"{LEAF_SLOT + 1} blocks of leaves, {MAX_LEAF_COUNT} triangles of a leaf"
+        raise CapacityError(f"rays take at most {allowed}, here are {total} and {most}: take a smaller scene")
+    children = bvh.children.copy()
+    children[is_leaf] = LEAF_BIT | (counts - 1) << LEAF_SLOT_LOG2 | firsts
+    place = np.arange(total) - np.repeat(firsts, of_leaf)
+    slots = np.repeat(first_slots, of_leaf) + BLOCK_LANES * place
+    inside = np.minimum(np.repeat(counts, of_leaf) - BLOCK_LANES * place, BLOCK_LANES)
+    return children, slots.astype(np.uint32), inside.astype(np.uint32)
 
 
 def _vectors(name: str, values: Any, count: int) -> np.ndarray:
