@@ -96,13 +96,14 @@ INLINE Triangles load_triangles(const Hierarchy *h, uint block, uint last, uint 
   global const float *low = h->blocks + (size_t)block * (BLOCK_WORDS * BLOCK_LANES);
   global const float *high = h->blocks + (size_t)last * (BLOCK_WORDS * BLOCK_LANES);
   Triangles t;
-  Vec3 *parts[4] = {&t.p0, &t.p1, &t.p2, &t.normal};
+  Vec3 *parts[3] = {&t.p0, &t.p1, &t.p2};
 #pragma unroll
-  for (uint k = 0; k < 4; ++k) {
+  for (uint k = 0; k < 3; ++k) {
     parts[k]->x = load_component(low, high, 3 * k, first);
     parts[k]->y = load_component(low, high, 3 * k + 1, first);
     parts[k]->z = load_component(low, high, 3 * k + 2, first);
   }
+  t.normal = cross3(subtract(t.p1, t.p0), subtract(t.p2, t.p0));
   return t;
 }
 
@@ -330,7 +331,6 @@ kernel void pack_leaves(
       own[(3 * k) * BLOCK_LANES + lane] = from[k].x;
       own[(3 * k + 1) * BLOCK_LANES + lane] = from[k].y;
       own[(3 * k + 2) * BLOCK_LANES + lane] = from[k].z;
-      own[(9 + k) * BLOCK_LANES + lane] = from[k].w;
     }
   }
 }

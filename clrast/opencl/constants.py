@@ -107,8 +107,8 @@ MAX_LEAF_COUNT = 16
 BLOCK_LANES = 8
 """Triangles of a block of a leaf, for rays; a leaf has whole blocks."""
 
-BLOCK_WORDS = 12
-"""Numbers of each triangle in a block: three corners and the plane's normal."""
+BLOCK_WORDS = 9
+"""Numbers of each triangle in a block: three corners."""
 
 LEAF_SLOT_LOG2 = 27
 LEAF_SLOT = (1 << LEAF_SLOT_LOG2) - 1
