@@ -115,8 +115,8 @@ class RayTracer:
 
     features : of `ray_features`. geometry : built with these, at world_scale 1, with its hierarchy. masks : with
     features.alpha_mask or alpha_blend what surfaces are looked up in, by the arguments of trace_rays.cl; rays then
-    pass where a surface is masked, and `any` also where it blends and is thin. `launches` : kernels launched. `nbytes` : of the hierarchy and its
-    leaves on the device.
+    pass where a surface is masked, and `any` also where it blends and is thin. `launches` : kernels launched.
+    `nbytes` : of the hierarchy and its leaves on the device.
     Raises DeviceError on drivers that limit loops.
     """
 
@@ -283,7 +283,8 @@ def _leaf_blocks(bvh: Bvh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Children as trace_rays.cl takes them, leaves with the number of their triangles and their first block; and of all
     blocks the first slots and the numbers of triangles: uint32 arrays. Raises CapacityError."""
     is_leaf = bvh.counts > 0
-    counts, first_slots = bvh.counts[is_leaf].astype(np.int64), (bvh.children[is_leaf] & ~np.uint32(LEAF_BIT)).astype(np.int64)
+    counts = bvh.counts[is_leaf].astype(np.int64)
+    first_slots = (bvh.children[is_leaf] & ~np.uint32(LEAF_BIT)).astype(np.int64)
     of_leaf = -(-counts // BLOCK_LANES)
     firsts = np.cumsum(of_leaf) - of_leaf
     total, most = int(of_leaf.sum()), int(counts.max(initial=0))
