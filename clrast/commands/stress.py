@@ -116,7 +116,7 @@ def make_call(values: Mapping[str, Any]) -> Call:
     make_options(machine, whole=False)
     plan = Plan(
         choose_precisions(lists["precision"]),
-        choose_methods(lists["method"]),
+        choose_methods(lists["method"], single["long"]),
         machine,
         single["long"],
         must_have=lists["precision"] is not None,

@@ -194,10 +194,15 @@ def choose_precisions(names: Sequence[str] | None = None) -> tuple[str, ...]:
     return tuple(name for name in AVAILABLE_PRECISIONS if name in wanted)
 
 
-def choose_methods(names: Sequence[str] | None = None) -> tuple[str, ...]:
-    """Methods in the order of the table; None: all. `auto` is one of them."""
+SLOW_METHODS = ("raycast-grid-multipass",)
+"""Left to `--long` where no method is named: its passes take a third of all time, over the cells of raycast-grid."""
+
+
+def choose_methods(names: Sequence[str] | None = None, long: bool = True) -> tuple[str, ...]:
+    """Methods in the order of the table; None: all, the slow ones with `long` alone. `auto` can be named."""
     if names is None:
-        return tuple(name for name in AVAILABLE_METHODS if name != AUTO)
+        left_out = (AUTO,) if long else (AUTO, *SLOW_METHODS)
+        return tuple(name for name in AVAILABLE_METHODS if name not in left_out)
     wanted = {make_options({"method": name}, whole=False).method for name in names}
     return tuple(name for name in AVAILABLE_METHODS if name in wanted)
 
