@@ -38,7 +38,8 @@ SURFACES = {
     "brass": Surface((0.9, 0.7, 0.35), metallic=1.0, roughness=0.6),
     "plastic": Surface((0.2, 0.3, 0.7), roughness=0.5),
 }
-CAMERA = {"eye": (0.0, -4.4, 1.0), "look_at": (0.0, 0.0, 1.0), "up": (0.0, 0.0, 1.0), "fov": 37.0}
+CAMERA = {"eye": (0.037, -4.4, 1.021), "look_at": (0.0, 0.0, 0.993), "up": (0.0, 0.0, 1.0), "fov": 37.0}
+"""From where no pixel's centre lies on an edge between walls."""
 
 
 def _ceiling(low: float, high: float) -> list[Quad]:

@@ -19,9 +19,6 @@ import numpy as np
 from cornell_box import QUADS, SURFACES
 
 mi.set_variant("llvm_ad_rgb")
-# Dr.Jit's minimum is one that LLVM before 17 does not compile for x86 ("Cannot select: fminimum"): the integrator below
-# takes it from here.
-dr.minimum = lambda a, b: dr.select(a < b, a, b)
 
 
 class MetallicRoughness(mi.BSDF):
@@ -89,7 +86,7 @@ def build_scene(folder: Path, depth: int) -> Any:
         emission = SURFACES[quad.surface].emission
         if any(emission):
             tree[f"quad{k}"]["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": list(emission)}}
-    tree["integrator"] = {"type": "prb", "max_depth": depth, "rr_depth": 1000}
+    tree["integrator"] = {"type": "path", "max_depth": depth, "rr_depth": 1000}
     return mi.load_dict(tree)
 
 
@@ -105,8 +102,8 @@ def main() -> None:
     means = []
     for batch in range(batches):
         sampler.seed(batch, side * side * samples)
-        ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(e), dr.normalize(d0 + x * dx + y * dy)))
-        color, _, _ = scene.integrator().sample(scene, sampler, ray)
+        ray = mi.Ray3f(mi.Point3f(e), dr.normalize(d0 + x * dx + y * dy))
+        color, *_ = scene.integrator().sample(scene, sampler, mi.RayDifferential3f(ray))
         found = np.array(color).reshape(3, side * side, samples)
         means.append(found.mean(axis=2).T.reshape(side, side, 3))
     np.savez(out, means=np.array(means))
