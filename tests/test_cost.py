@@ -192,7 +192,7 @@ def test_the_command_prints_draws_and_counts(
     assert "passes by oracle (Table 2)" in plot.read_text()
     assert main(["cost", *arguments]) == 0
     text = capsys.readouterr().out
-    for part in ("Table 1", "Table 2", "Table 3", "Fig. 7", "Fig. 8", "Fig. 9", "C_stencil", "not measured here"):
+    for part in ("Table 1", "Table 2", "Table 3", "Fig. 7", "Fig. 8", "Fig. 9", "C_stencil", "more rays"):
         assert part in text
 
 

@@ -36,7 +36,7 @@ PAPER_RATES = "paper: 20 M (processor, 800 MHz), 114 M (fixed point), 56 M and 2
 def study_lines(study: CostStudy) -> list[str]:
     """Everything, a table after the other."""
     lines = [_heading(study), ""]
-    for part in (_passes(study), _words(study), _unrolled(study), _caches(study), _times(study), _extensions()):
+    for part in (_passes(study), _words(study), _unrolled(study), _caches(study), _times(study), _extensions(study)):
         lines += [*part, ""]
     return [*lines, *study.notes]
 
@@ -155,6 +155,11 @@ def _times(study: CostStudy) -> list[str]:
     return [*lines, f"{study.tests_a_second / 1e6:.0f} M intersections a second, branching; {PAPER_RATES}"]
 
 
-def _extensions() -> list[str]:
-    rows = [(name, f"{work:.2f}", f"{moved:.2f}", "not measured here") for name, work, moved in PAPER_EXTENSIONS]
-    return _table(("relative to ray casting (Table 3)", "paper, instructions", "paper, bytes", "here"), rows)
+def _extensions(study: CostStudy) -> list[str]:
+    rows = [
+        (name, f"{work:.2f}", f"{moved:.2f}", f"{row.ratio:.2f}", f"{row.rays:,}")
+        for (name, work, moved), row in zip(PAPER_EXTENSIONS, study.modes, strict=True)
+    ]
+    heads = ("relative to ray casting (Table 3)", "paper, instructions", "paper, bytes", "here, time", "more rays")
+    note = "here: visibility and shading; secondary rays go through the BVH; paths of two bounces"
+    return [*_table(heads, rows), note]

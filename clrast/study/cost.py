@@ -25,6 +25,7 @@ from clrast.scene.model import Camera, Scene
 from clrast.shading.effects import EffectPlan, plan_effects
 from clrast.study import cache_simulation as cache
 from clrast.study.cost_equation import Constants, Point, fit, held_out
+from clrast.study.cost_modes import ModeRow, lit, measure_modes
 from clrast.study.ray_traces import Trace, count_passes, make_trace
 from clrast.study.traffic import Traffic, branching_traffic, multipass_traffic, stencil_bytes
 from clrast.visibility.grid_passes import PassCounts
@@ -105,6 +106,7 @@ class CostStudy:
     pass_constants: Constants
     pass_predicted: tuple[float, ...]
     shade_ns: float
+    modes: tuple[ModeRow, ...] = ()
     notes: tuple[str, ...] = field(default_factory=tuple)
 
     @property
@@ -125,7 +127,7 @@ class CostStudy:
              "kinds": {kind: {**asdict(rate), "rate": rate.rate} for kind, rate in row.rates.items()}}
             for row in self.caches
         ]  # fmt: skip
-        more = {"caches": caches, "tests_a_second": self.tests_a_second}
+        more = {"caches": caches, "modes": [asdict(row) for row in self.modes], "tests_a_second": self.tests_a_second}
         return {**found, **rows, **models, **plain, **constants, **more}
 
     @staticmethod
@@ -191,14 +193,18 @@ def study_cost(
     points, pass_points = _measure(ground, _resolutions(grid.shape.counts), repetitions, show)
     constants, pass_constants = fit(points), fit(pass_points)
     loose = raycaster.loose_count()
+    modes = measure_modes(scene, camera, replace(options, method=BRANCHING), show)
     notes = [f"{loose} triangles are seen edge-on and rasterized by their bounds: no count of words or passes has them"]
+    if lit(scene)[1]:
+        notes.append("the scene has no light: its modes were timed with a sun of ours")
     return CostStudy(
         scene.name, scene.triangle_count, options.size, ground.device.name, options.precision, grid.shape.counts,
         grid.reference_count, raycaster.loose_count(), trace.ray_count, int((steps > 0).sum()), hits,
         float(steps.mean()), float(tests.mean()), int(steps.max()), int(tests.max()), int((steps + tests).max()),
         rows, unrolled, branching_traffic(trace, hits), multipass_traffic(trace, paper.passes, hits),
         stencil_bytes(trace, paper.passes), caches, cache_rays, points, constants, tuple(held_out(points)), pass_points,
-        pass_constants, tuple(held_out(pass_points)), 1e6 * job.times["shade"] / max(1, hits), tuple(notes),
+        pass_constants, tuple(held_out(pass_points)), 1e6 * job.times["shade"] / max(1, hits), tuple(modes),
+        tuple(notes),
     )  # fmt: skip
 
 
