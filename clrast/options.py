@@ -395,8 +395,10 @@ class RenderOptions:
             raise UsageError(f"--method {self.method} needs planar views, and {projection} is none: use {others}")
         if self.accelerator == "grid":
             raise UsageError(f"--accelerator grid needs planar views, and {projection} is none: leave it out")
-        if self.evaluation != "direct":
-            raise UsageError(f"--evaluation {self.evaluation} is not available with {projection}: use direct")
+        if self.evaluation != "direct" and projection not in SUMMED_PROJECTIONS:
+            raise UsageError(
+                f"--evaluation {self.evaluation} sums up polynomials, and {projection} has sines and cosines: use direct"
+            )
 
     def _check_accelerator(self) -> None:
         is_grid = self.method in GRID_METHODS or (self.method == AUTO and self.accelerator == "grid")
@@ -413,6 +415,9 @@ class RenderOptions:
 
 CURVED_PROJECTIONS = ("paraboloid", "latlong", "fisheye")
 """Projections that are not planar: only 3D edges are functions over them."""
+
+SUMMED_PROJECTIONS = ("perspective", "orthographic", "paraboloid")
+"""Projections whose directions are polynomials of the sample's place, so that edge functions can be summed up."""
 
 METHODS_OF_ANY_VIEW = tuple(
     name for name, row in METHOD_TABLE.items() if row.edges not in (Edges.PROJECTED, Edges.HOMOGENEOUS) and not row.grid

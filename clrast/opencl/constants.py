@@ -72,6 +72,10 @@ INCREMENT_CELL = 32
 INCREMENT_SLACK = 64.0 * 2.0**-24
 """Error of an incrementally evaluated edge function relative to its terms: 16 sums, each within 2^-24, and slack."""
 
+INCREMENT_CURVED_SLACK = (36.0 + 1.125 * INCREMENT_CELL) * 2.0**-24
+"""The same of a paraboloid's, relative to |n| and the square of how far a square reaches; derived in
+cl/incremental_edges.clh."""
+
 IS_OUTSIDE_NEVER = 0
 IS_OUTSIDE_SCREEN_BOUND = 1
 
