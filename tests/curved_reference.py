@@ -19,6 +19,8 @@ MARGIN = 2.0**-46
 """A float64 edge function is within 16 * 2^-53 of its terms' sizes."""
 NEARER = 1e-6
 SURE_SLOPE = 1e-4
+BLOCK = 16
+"""Samples a side of the squares that `exact_image_by_blocks` looks at in one go."""
 
 
 def rays_of(channels: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -38,7 +40,6 @@ def exact_image(
     shape, d, tx, ty = d.shape[:-1], d.reshape(-1, 3), tx.reshape(-1, 3), ty.reshape(-1, 3)
     corners = positions[triangles].astype(np.float64) - np.asarray(eye, dtype=np.float64)
     inside, possible, t = classify_pairs(corners, d.astype(np.float64))
-    scene = exact_triangles(positions, triangles)
     prim_id, times = np.full(len(d), NO_HIT, dtype=np.uint32), np.full(len(d), np.inf)
     hit_count, asked = np.zeros(len(d), dtype=np.int64), 0
     origin = vector(np.asarray(eye, dtype=np.float32).tolist())
@@ -49,7 +50,8 @@ def exact_image(
             continue
         asked += 1
         ray = Ray(origin, *(vector(v[k].tolist()) for v in (d, tx, ty)))
-        hits = [intersect(scene[j], ray, True, int(j)) for j in group]
+        asked_about = exact_triangles(*_part(positions, triangles[group]))
+        hits = [intersect(triangle, ray, True, int(j)) for j, triangle in zip(group, asked_about, strict=True)]
         found = sorted((hit for hit in hits if hit), key=lambda hit: (hit.t, hit.prim_id))
         hit_count[k] = len(found)
         if found:
@@ -57,16 +59,64 @@ def exact_image(
     return prim_id.reshape(shape), hit_count.reshape(shape), times.reshape(shape), asked
 
 
+def _part(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The positions of some triangles' corners alone, and their indices."""
+    used, indices = np.unique(triangles, return_inverse=True)
+    return positions[used], indices.reshape(triangles.shape)
+
+
+def exact_image_by_blocks(
+    positions: np.ndarray, triangles: np.ndarray, eye: np.ndarray, d: np.ndarray, tx: np.ndarray, ty: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """`prim_id` and `t` of `exact_image` for scenes of many triangles; d, tx, ty (height, width, 3).
+
+    Of each square of BLOCK x BLOCK samples those triangles are left out that have an edge which, by more than MARGIN
+    of its terms, all its directions lie outside of: they lie within a distance of their mean.
+    """
+    shape = d.shape[:-1]
+    prim_id, times = np.full(shape, NO_HIT, dtype=np.uint32), np.full(shape, np.inf)
+    corners = positions[triangles].astype(np.float64) - np.asarray(eye, dtype=np.float64)
+    lengths, (normal, volume, is_flat) = np.linalg.norm(corners, axis=2), planes_of(corners)
+    inward, sizes = [], []
+    for i in range(3):
+        a, b = (i + 2) % 3, (i + 1) % 3
+        inward.append(np.where(volume < 0, 1, -1)[:, None] * np.cross(corners[:, a], corners[:, b]))
+        sizes.append(MARGIN * 8 * lengths[:, a] * lengths[:, b] + 1e-300)
+    reach = [np.linalg.norm(n, axis=1) for n in inward]
+    for top in range(0, shape[0], BLOCK):
+        for left in range(0, shape[1], BLOCK):
+            chosen = np.s_[top : top + BLOCK, left : left + BLOCK]
+            own = d[chosen].reshape(-1, 3).astype(np.float64)
+            own = own[own.any(axis=1)]
+            if not len(own):
+                continue
+            middle = own.mean(axis=0)
+            apart = np.linalg.norm(own - middle, axis=1).max() * (1 + 1e-9)
+            keep = np.ones(len(corners), dtype=bool)
+            for n, length, size in zip(inward, reach, sizes, strict=True):
+                keep &= n @ middle + length * apart >= -size * (np.linalg.norm(middle) + apart)
+            part = np.flatnonzero(keep | is_flat)
+            found, _, t, _ = exact_image(positions, triangles[part], eye, d[chosen], tx[chosen], ty[chosen])
+            prim_id[chosen] = np.append(part, NO_HIT)[np.minimum(found, len(part))]
+            times[chosen] = t
+    return prim_id, times
+
+
+def planes_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normals, volumes, and which triangles may have none; corners (triangles, 3, 3) relative to the eye."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    volume = np.einsum("tk,tk->t", normal, corners[:, 0])
+    span = np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=2).max(axis=1)
+    return normal, volume, abs(volume) <= MARGIN * span * span * np.linalg.norm(corners[:, 0], axis=1)
+
+
 def classify_pairs(corners: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(samples, triangles) bool 'surely inside', bool 'possible' without what is surely hidden, float64 t.
 
     corners : (triangles, 3, 3) relative to the eye.
     """
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    volume = np.einsum("tk,tk->t", normal, corners[:, 0])
+    normal, volume, is_flat = planes_of(corners)
     lengths = np.linalg.norm(corners, axis=2)
-    span = np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=2).max(axis=1)
-    is_flat = abs(volume) <= MARGIN * span * span * lengths[:, 0]
     lowest = np.full((len(d), len(corners)), np.inf)
     for i in range(3):
         a, b = corners[:, (i + 2) % 3], corners[:, (i + 1) % 3]
