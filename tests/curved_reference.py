@@ -19,8 +19,8 @@ MARGIN = 2.0**-46
 """A float64 edge function is within 16 * 2^-53 of its terms' sizes."""
 NEARER = 1e-6
 SURE_SLOPE = 1e-4
-BLOCK = 16
-"""Samples a side of the squares that `exact_image_by_blocks` looks at in one go."""
+BLOCKS = (128, 16)
+"""Samples a side of the squares that `exact_image_by_blocks` looks at, one within the other."""
 
 
 def rays_of(channels: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -70,36 +70,53 @@ def exact_image_by_blocks(
 ) -> tuple[np.ndarray, np.ndarray]:
     """`prim_id` and `t` of `exact_image` for scenes of many triangles; d, tx, ty (height, width, 3).
 
-    Of each square of BLOCK x BLOCK samples those triangles are left out that have an edge which, by more than MARGIN
-    of its terms, all its directions lie outside of: they lie within a distance of their mean.
+    Of each square of BLOCKS samples a side, the large ones first, those triangles are left out that have an edge which,
+    by more than MARGIN of its terms, all its directions lie outside of: they lie within a distance of their mean.
     """
-    shape = d.shape[:-1]
-    prim_id, times = np.full(shape, NO_HIT, dtype=np.uint32), np.full(shape, np.inf)
+    found = np.full(d.shape[:-1], NO_HIT, dtype=np.uint32), np.full(d.shape[:-1], np.inf)
     corners = positions[triangles].astype(np.float64) - np.asarray(eye, dtype=np.float64)
-    lengths, (normal, volume, is_flat) = np.linalg.norm(corners, axis=2), planes_of(corners)
-    inward, sizes = [], []
+    edges = _inward_edges(corners)
+
+    def go_on(rows: range, columns: range, part: np.ndarray, sides: tuple[int, ...]) -> None:
+        for top in rows[:: sides[0]]:
+            for left in columns[:: sides[0]]:
+                chosen = np.s_[top : min(top + sides[0], rows.stop), left : min(left + sides[0], columns.stop)]
+                own = part[_may_meet(edges[:, part], d[chosen].reshape(-1, 3).astype(np.float64))]
+                if len(sides) > 1:
+                    go_on(range(*chosen[0].indices(len(d))), range(*chosen[1].indices(d.shape[1])), own, sides[1:])
+                    continue
+                prim_id, _, t, _ = exact_image(positions, triangles[own], eye, d[chosen], tx[chosen], ty[chosen])
+                found[0][chosen] = np.append(own, NO_HIT)[np.minimum(prim_id, len(own))]
+                found[1][chosen] = t
+
+    go_on(range(d.shape[0]), range(d.shape[1]), np.arange(len(corners)), BLOCKS)
+    return found
+
+
+def _inward_edges(corners: np.ndarray) -> np.ndarray:
+    """(3 edges, triangles, 5): inward normal, its length, and what it may be off for each unit of a direction.
+
+    The length is infinite where the triangle may have no volume: then nothing is left out.
+    """
+    _, volume, is_flat = planes_of(corners)
+    lengths, edges = np.linalg.norm(corners, axis=2), np.zeros((3, len(corners), 5))
     for i in range(3):
         a, b = (i + 2) % 3, (i + 1) % 3
-        inward.append(np.where(volume < 0, 1, -1)[:, None] * np.cross(corners[:, a], corners[:, b]))
-        sizes.append(MARGIN * 8 * lengths[:, a] * lengths[:, b] + 1e-300)
-    reach = [np.linalg.norm(n, axis=1) for n in inward]
-    for top in range(0, shape[0], BLOCK):
-        for left in range(0, shape[1], BLOCK):
-            chosen = np.s_[top : top + BLOCK, left : left + BLOCK]
-            own = d[chosen].reshape(-1, 3).astype(np.float64)
-            own = own[own.any(axis=1)]
-            if not len(own):
-                continue
-            middle = own.mean(axis=0)
-            apart = np.linalg.norm(own - middle, axis=1).max() * (1 + 1e-9)
-            keep = np.ones(len(corners), dtype=bool)
-            for n, length, size in zip(inward, reach, sizes, strict=True):
-                keep &= n @ middle + length * apart >= -size * (np.linalg.norm(middle) + apart)
-            part = np.flatnonzero(keep | is_flat)
-            found, _, t, _ = exact_image(positions, triangles[part], eye, d[chosen], tx[chosen], ty[chosen])
-            prim_id[chosen] = np.append(part, NO_HIT)[np.minimum(found, len(part))]
-            times[chosen] = t
-    return prim_id, times
+        edges[i, :, :3] = np.where(volume < 0, 1, -1)[:, None] * np.cross(corners[:, a], corners[:, b])
+        edges[i, :, 3] = np.where(is_flat, np.inf, np.linalg.norm(edges[i, :, :3], axis=1))
+        edges[i, :, 4] = MARGIN * 8 * lengths[:, a] * lengths[:, b] + 1e-300
+    return edges
+
+
+def _may_meet(edges: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Which triangles a direction of d (count, 3) may lie in; those of length 0 are none."""
+    d = d[d.any(axis=1)]
+    if not len(d):
+        return np.zeros(edges.shape[1], dtype=bool)
+    middle = d.mean(axis=0)
+    apart = max(np.linalg.norm(d - middle, axis=1).max() * (1 + 1e-9), 1e-30)
+    highest = (edges[..., 0] * middle[0] + edges[..., 1] * middle[1]) + edges[..., 2] * middle[2] + edges[..., 3] * apart
+    return (highest >= -edges[..., 4] * (np.linalg.norm(middle) + apart)).all(axis=0)
 
 
 def planes_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

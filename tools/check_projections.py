@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import time
 from collections import Counter
@@ -32,7 +33,9 @@ from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
-import numpy as np
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # products here are small
+
+import numpy as np  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tools"), str(ROOT / "tests")]
@@ -61,10 +64,11 @@ BALL = "ball"
 
 @dataclass(frozen=True)
 class View:
-    """A camera, how edges are evaluated, and the image's size."""
+    """A camera, how edges are evaluated, by which method, and the image's size."""
 
     camera: Camera
     evaluation: str
+    method: str
     size: tuple[int, int]
 
     @property
@@ -95,21 +99,22 @@ class Result:
     broken: bool
 
 
-def views_of(scene: Scene, names: Sequence[str], projections: Sequence[str], side: int) -> Iterator[View]:
+def views_of(scene: Scene, options: argparse.Namespace) -> Iterator[View]:
     """From the middle of the bounding box along its length, and from outside it."""
-    for name in names:
+    side = options.size
+    for name in options.views.split(","):
         standard = standard_views(*scene.bounding_box())[name]
-        for text in projections:
+        for text in options.projections.split(","):
             projection, _, evaluation = text.partition(":")
             size = {"latlong": (side, side // 2), "cube": (side // 2, 3 * side)}.get(projection, (side, side))
             camera = Camera(name, projection, standard.eye, standard.look_at, standard.up, fov=270.0)  # type: ignore[arg-type]
-            yield View(camera, evaluation or "direct", size)
+            yield View(camera, evaluation or "direct", options.method, size)
 
 
 def render_ids(scene: Scene, view: View, precision: str) -> dict[str, np.ndarray]:
     return render(
         scene, view.camera, size=view.size, aov=("id", "ray"), precision=precision, evaluation=view.evaluation,
-        effects={"alpha mask": "off"},
+        method=view.method, effects={"alpha mask": "off"},
     ).channels  # fmt: skip
 
 
@@ -137,6 +142,7 @@ class Judge:
         any_view = {"e": eye.tolist(), "d0": [0.0, 0.0, -1.0], "dx": [1.0, 0.0, 0.0], "dy": [0.0, 1.0, 0.0]}
         self.classifier = Classifier(scene.positions, scene.triangles, any_view)  # which side is seen: the eye alone says
         self.topology = self.classifier.topology
+        self.colours = self.topology.colours()
         self.corners = scene.positions.astype(np.float64)[scene.triangles.astype(np.int64)] - eye
 
     def near_edges(self, prim_id: int, d: np.ndarray) -> list[int]:
@@ -175,10 +181,9 @@ class Judge:
 
 def find_doubles(scene: Scene, view: View, precision: str, truth: Truth, judge: Judge) -> dict[str, int]:
     """Samples that two neighbours cover whom the eye sees on different sides of their edge, by place."""
-    colours = judge.topology.colours()
     images = [
         render_part(lambda chosen: render_ids(part_of(scene, chosen), view, precision)["id.prim"], np.flatnonzero(own))
-        for own in (colours == k for k in range(colours.max() + 1))
+        for own in (judge.colours == k for k in range(judge.colours.max() + 1))
     ]
     found: Counter[str] = Counter()
     for first, second in combinations(images, 2):
@@ -240,6 +245,7 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--projections", default=",".join(PROJECTIONS), help=f"of {','.join(PROJECTIONS)}")
     parser.add_argument("--precision", default="midpoint,exact", help="rungs")
     parser.add_argument("--size", type=int, default=512, help="side, pixels; latlong SxS/2, cube faces of S/2")
+    parser.add_argument("--method", default="3dr-binning", help="default: 3dr-binning; all give one image")
     parser.add_argument("--no-double-hits", action="store_true", help="one render of a view in place of several")
     parser.add_argument("--json", type=Path, help="write all figures to this file")
     options = parser.parse_args(arguments)
@@ -257,7 +263,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, scene in scenes_of(options.scenes):
         truths: dict[tuple[str, str], Truth] = {}
         judges: dict[str, Judge] = {}
-        for view in views_of(scene, options.views.split(","), options.projections.split(","), options.size):
+        for view in views_of(scene, options):
             key, started = (view.camera.name, view.camera.projection), time.perf_counter()
             truth = truths[key] = truths.get(key) or find_truth(scene, replace(view, evaluation="direct"))
             judge = judges[view.camera.name] = judges.get(view.camera.name) or Judge(scene, truth.eye)
