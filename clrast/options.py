@@ -187,7 +187,7 @@ def parse_aov(option: str, value: Any) -> tuple[str, ...]:
 
 
 def parse_effects(option: str, value: Any) -> dict[str, str]:
-    """Effect name with spaces -> on, off, auto or (derivatives) coarse, from NAME=STATE (comma lists, sequences) or a mapping."""
+    """Effect name with spaces -> state, from NAME=STATE (comma lists, sequences) or a mapping."""
     if isinstance(value, Mapping):
         pairs = [(str(name), state) for name, state in value.items()]
     else:

@@ -198,7 +198,8 @@ class Integrator:
         """Add to the colour of `pixel_count` samples what secondary rays bring. Waits.
 
         visible_prims : prim_id or NO_HIT. hits : hit_weights, hit_positions, hit_directions, sample_keys and where
-        textures are filtered hit_footprints, as shade_hits wrote them. values : planes of channels, those of colour from `first_plane` on.
+        textures are filtered hit_footprints, as shade_hits wrote them. values : planes of channels, those of colour
+        from `first_plane` on.
         """
         if not pixel_count or not self._has_hits(visible_prims, pixel_count):
             return
