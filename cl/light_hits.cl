@@ -9,6 +9,7 @@
 // bring is weighted against finding them by chance (Veach and Guibas 1995, power heuristic).
 // Good at: few lights. Bad at: many lights outside of paths (a pass each). Tests: tests/test_modes.py.
 
+#define FOOTPRINTS DERIVATIVES
 #include "surface.clh"
 #include "lighting.clh"
 #include "elementary.clh"
@@ -46,6 +47,9 @@ kernel void begin_light(
     global const float4 *restrict item_positions,  // [item_count]
     global const float4 *restrict item_directions, // [item_count]
     global const float4 *restrict item_throughputs,// [item_count]
+#if FOOTPRINTS
+    global const float4 *restrict item_footprints, // [3 * item_count]
+#endif
     global const float4 *restrict item_origins,    // [item_count] where the ray that arrived began
     global const float4 *restrict positions,       // [vertex_count] world space
     global const uint *restrict indices,           // [3 * triangle_count]
@@ -62,7 +66,11 @@ kernel void begin_light(
 {
   const uint item = get_global_id(0);
   if (item >= item_count) return;
-  const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first};
+  const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first
+#if FOOTPRINTS
+                       , item_footprints
+#endif
+  };
   const Mesh mesh = {positions, indices, normals};
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
   Place place;
@@ -152,6 +160,9 @@ kernel void aim_at_light(
     global const float4 *restrict item_positions,  // [item_count]
     global const float4 *restrict item_directions, // [item_count]
     global const float4 *restrict item_throughputs,// [item_count]
+#if FOOTPRINTS
+    global const float4 *restrict item_footprints, // [3 * item_count]
+#endif
     global const uint *restrict item_keys,         // [item_count] of random numbers
     global const float4 *restrict positions,       // [vertex_count] world space
     global const uint *restrict indices,           // [3 * triangle_count]
@@ -173,7 +184,11 @@ kernel void aim_at_light(
 {
   const uint item = get_global_id(0);
   if (item >= item_count) return;
-  const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first};
+  const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first
+#if FOOTPRINTS
+                       , item_footprints
+#endif
+  };
   const Mesh mesh = {positions, indices, normals};
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
   Place place;

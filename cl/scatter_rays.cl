@@ -4,17 +4,21 @@
 // streams of them go back to the traversal. For one generation:
 //   scatter_rays: up to `slot_count` rays from each live item
 //   list_samples.cl, trace_rays.cl: those that are there, in order; where each begins; what it hits
-//   arrive: the next generation's items
+//   arrive: the next generation's items; where textures are filtered with what a pixel covers of them
 // Then add_to_samples sums what the items brought. The order of all sums is that of the items: no bit depends on
 // threads. Paths (INDIRECT) draw one ray at a hit, in proportion to what it brings where that is known, and end by
 // Russian roulette (Arvo and Kirk 1990).
 // Good at: few bounces of all pixels at once. Bad at: memory (a ray of each pixel). Tests: tests/test_modes.py.
 
+#define FOOTPRINTS DERIVATIVES
 #include "surface.clh"
 #include "lighting.clh"
 #include "elementary.clh"
 #include "sampling.clh"
 #include "ray_items.clh"
+#if FOOTPRINTS
+#include "ray_differentials.clh"
+#endif
 
 typedef struct { float4 direction, throughput; float density; uchar kind; } Scattered;
 
@@ -101,8 +105,8 @@ static Scattered play_roulette(Scattered ray, float choice) {
 }
 #endif
 
-// Reads: items (shade_hits, arrive). Writes: slot_directions, slot_throughputs, slot_kinds (for leave_hits, arrive).
-// Work item: one item. Local memory: 0 bytes.
+// Reads: items (shade_hits, arrive). Writes: slot_directions, slot_throughputs, slot_kinds, slot_changes (for leave_hits,
+// arrive). Work item: one item. Local memory: 0 bytes.
 kernel void scatter_rays(
     uint item_count,
     uint is_first,                                  // 1: hits of the camera's samples
@@ -116,6 +120,9 @@ kernel void scatter_rays(
     global const float4 *restrict item_positions,   // [item_count]
     global const float4 *restrict item_directions,  // [item_count]
     global const float4 *restrict item_throughputs, // [item_count]
+#if FOOTPRINTS
+    global const float4 *restrict item_footprints,  // [3 * item_count]
+#endif
     global const uint *restrict item_keys,          // [item_count] of random numbers
     global const float4 *restrict positions,        // [vertex_count] world space
     global const uint *restrict indices,            // [3 * triangle_count]
@@ -130,11 +137,18 @@ kernel void scatter_rays(
     global const float *restrict srgb_to_linear,    // [256]
     global float4 *restrict slot_directions,        // [slot_count * item_count] xyz; w t_max
     global float4 *restrict slot_throughputs,       // [slot_count * item_count] RGB; w density
+#if FOOTPRINTS
+    global float4 *restrict slot_changes,           // [2 * slot_count * item_count] of the direction, to the right, downwards
+#endif
     global uchar *restrict slot_kinds)              // [slot_count * item_count] 0: no ray, else RAY_*
 {
   const uint item = get_global_id(0);
   if (item >= item_count) return;
-  const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first};
+  const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first
+#if FOOTPRINTS
+                       , item_footprints
+#endif
+  };
   const Mesh mesh = {positions, indices, normals};
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
   const size_t first_slot = (size_t)item * slot_count;
@@ -164,11 +178,18 @@ kernel void scatter_rays(
     slot_directions[first_slot + k] = (float4)(ray.direction.xyz, INFINITY);
     slot_throughputs[first_slot + k] = (float4)(ray.throughput.xyz, ray.density);
     slot_kinds[first_slot + k] = ray.kind;
+#if FOOTPRINTS
+    float4 changes[2] = {item_footprints[3 * (size_t)item + 1], item_footprints[3 * (size_t)item + 2]};
+    spread_ray(&place, &mesh, ray.kind, ray.direction, ray.density, changes);
+    slot_changes[2 * (first_slot + k)] = changes[0];
+    slot_changes[2 * (first_slot + k) + 1] = changes[1];
+#endif
   }
 }
 
 // Reads: sources (list_edge_pixels), prims_hit, weights (trace_closest), origins, directions (leave_hits),
-// slot_throughputs (scatter_rays). Writes: the items of the next generation. Work item: one ray. Local memory: 0 bytes.
+// slot_throughputs, slot_changes (scatter_rays). Writes: the items of the next generation. Work item: one ray.
+// Local memory: 0 bytes.
 kernel void arrive(
     uint ray_count,
     uint slot_count,
@@ -180,6 +201,13 @@ kernel void arrive(
     global const float4 *restrict slot_throughputs, // [slot_count * item_count]
     global const uint *restrict pixels_left,        // [item_count] pixels of the items that the rays left
     global const uint *restrict keys_left,          // [item_count] their keys
+#if FOOTPRINTS
+    global const uint *restrict prims_left,         // [item_count] the triangles
+    global const float4 *restrict footprints_left,  // [3 * item_count]
+    global const float4 *restrict slot_changes,     // [2 * slot_count * item_count]
+    global const float4 *restrict origins,          // [ray_count] where the rays began
+    global float4 *restrict item_footprints,        // [3 * ray_count] see ray_items.clh
+#endif
     global const float4 *restrict positions,        // [vertex_count] world space
     global const uint *restrict indices,            // [3 * triangle_count]
     global float4 *restrict item_positions,         // [ray_count] world space
@@ -193,16 +221,30 @@ kernel void arrive(
   const uint source = sources[ray], item = source / slot_count, prim_id = prims_hit[ray];
   const float4 throughput = slot_throughputs[source];
   float4 position = (float4)(0.0f);
+#if FOOTPRINTS
+  const float4 changes[2] = {slot_changes[2 * (size_t)source], slot_changes[2 * (size_t)source + 1]};
+  float4 spread = (float4)(0.0f);
+#endif
   if (prim_id != NO_HIT) {
     const float4 w = weights[ray];
     global const uint *vertices = indices + 3 * (size_t)prim_id;
     position = (positions[vertices[0]] * w.x + positions[vertices[1]] * w.y) + positions[vertices[2]] * w.z;
+#if FOOTPRINTS
+    const float4 d = (float4)(directions[ray].xyz, 0.0f);
+    const float t = dot_f4(position - origins[ray], d);
+    spread = carry_footprint(positions, indices + 3 * (size_t)prims_left[item], vertices, footprints_left[3 * (size_t)item], d, t, changes);
+#endif
   }
   item_positions[ray] = position;
   item_directions[ray] = (float4)(directions[ray].xyz, throughput.w);
   item_throughputs[ray] = (float4)(throughput.xyz, 0.0f);
   item_pixels[ray] = is_first ? item : pixels_left[item];
   item_keys[ray] = keys_left[item];
+#if FOOTPRINTS
+  item_footprints[3 * (size_t)ray] = spread;
+  item_footprints[3 * (size_t)ray + 1] = changes[0];
+  item_footprints[3 * (size_t)ray + 2] = changes[1];
+#endif
 }
 
 // Reads: radiances (begin_light, add_light). Writes: sums of pixels. Items of one pixel lie side by side: the first

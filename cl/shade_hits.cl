@@ -18,6 +18,9 @@
 #include "pair.clh"
 #include "elementary.clh"
 #include "sampling.clh"
+#if DERIVATIVES
+#include "pixel_footprints.clh"
+#endif
 
 // Where the ray through the sample (x, y) of the viewport meets the triangle's plane: t = N . (p_0 - e) / (N . d)
 // and e + t d, with e, d0, dx, dy as DESIGN defines them. In pairs of floats, since N . d cancels where a triangle is
@@ -70,23 +73,10 @@ static inline Hit find_hit(
   const SamplePoint at = sample_point(view, x - view.center_x, y - view.center_y);
   for (uint i = 0; i < 3; ++i) v[i] = edge_value_at(setup.edge[i], at);
   // Canonical order began with vertex 1 or 2: turn the weights back to the order of the file.
-  if (is_first(b, c, a))
-    weigh_vertices(&hit.at, v[2], v[0], v[1]);
-  else if (is_first(c, a, b))
-    weigh_vertices(&hit.at, v[1], v[2], v[0]);
-  else
-    weigh_vertices(&hit.at, v[0], v[1], v[2]);
-#if FOOTPRINTS && PLANAR
-  float2 gradient[3];
-  for (uint i = 0; i < 3; ++i) gradient[i] = (float2)(setup.edge[i].gx, setup.edge[i].gy) * footprint;
-  if (is_first(b, c, a))
-    spread_weights(&hit.at, (v[0] + v[1]) + v[2], gradient[2], gradient[0], gradient[1]);
-  else if (is_first(c, a, b))
-    spread_weights(&hit.at, (v[0] + v[1]) + v[2], gradient[1], gradient[2], gradient[0]);
-  else
-    spread_weights(&hit.at, (v[0] + v[1]) + v[2], gradient[0], gradient[1], gradient[2]);
-#elif FOOTPRINTS
-  hit.at.db0 = hit.at.db1 = hit.at.db2 = (float2)(0.0f);
+  const uint turn = is_first(b, c, a) ? 2 : (is_first(c, a, b) ? 1 : 0);
+  weigh_vertices(&hit.at, v[turn], v[(turn + 1) % 3], v[(turn + 2) % 3]);
+#if FOOTPRINTS
+  spread_weights(&hit.at, &setup, view, x, y, v, turn, footprint);
 #endif
   hit.position = meet_plane(view, p0, p1, p2, x, y, direction, &hit.t, &hit.depth);
   hit.direction = direction;
@@ -173,6 +163,9 @@ kernel void shade_hits(
     global float4 *restrict hit_positions,         // [pixel_count] world space
     global float4 *restrict hit_directions,        // [pixel_count] d of the ray that found it, w 0
     global uint *restrict sample_keys,             // [pixel_count] a number of its own for each sample of the image
+#if DERIVATIVES
+    global float4 *restrict hit_footprints,        // [3 * pixel_count], see ray_items.clh
+#endif
 #endif
     global float *restrict values,                 // [planes * pixel_count]
     global uint *restrict ids,                     // [2 * pixel_count] object, material
@@ -280,6 +273,12 @@ kernel void shade_hits(
   hit_weights[pixel] = (float4)(hit.at.b0, hit.at.b1, hit.at.b2, is_lit ? alpha * behind : 0.0f);
   hit_positions[pixel] = hit.position;
   hit_directions[pixel] = (float4)(direction.xyz, 0.0f);
+#if DERIVATIVES
+  const Change steps = direction_change(view, x - view.center_x, y - view.center_y);
+  hit_footprints[3 * (size_t)pixel] = (float4)(hit.at.db1, hit.at.db2);
+  hit_footprints[3 * (size_t)pixel + 1] = unit_change(direction, steps.right) * footprint;
+  hit_footprints[3 * (size_t)pixel + 2] = unit_change(direction, steps.down) * footprint;
+#endif
 #if SAMPLE_LIST
   const uint sample_place = position;
 #else

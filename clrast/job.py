@@ -17,7 +17,7 @@ from clrast.opencl.device import Device
 from clrast.opencl.features import Features, Precision, Projection
 from clrast.opencl.layout import NO_HIT
 from clrast.opencl.runtimes import PREFETCHING
-from clrast.options import RenderOptions
+from clrast.options import COARSE, RenderOptions
 from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Scene
 from clrast.shading.accumulation import Accumulation
@@ -125,6 +125,7 @@ def make_features(
         emission=plan["emission"],
         vertex_colors=scene.colors is not None,
         derivatives=plan["derivatives"] and plan["textures"],
+        coarse_derivatives=plan["derivatives"] and options.effects.get("derivatives") == COARSE,
         lit=bool(scene.lights),
         secondary=plan["secondary acceleration structure"],
         reflection=plan["reflection"],
@@ -252,8 +253,9 @@ class RenderJob:
         if self.features.counters:
             per_pixel += 4 * COST_PLANES
         if self.integrator is not None:
-            per_pixel += self.integrator.bytes_per_pixel()
+            per_pixel += self.integrator.bytes_per_pixel(self.features.derivatives)
         resolving, piece = resolver_bytes(self.options, self.plan["alpha blend"])
+        streams = 0 if self.integrator is None else self.integrator.largest_piece(self.features.derivatives)
         fixed, of_square = 0, 0
         if self.grid is not None:
             fixed = self.grid.nbytes + grid_view_bytes(self.scene.triangle_count)
@@ -268,7 +270,7 @@ class RenderJob:
             fixed_bytes=self.scene_bytes + BOUND_BYTES * self.scene.triangle_count + fixed,
             square_bytes=of_square,
             pixel_bytes=per_pixel + resolving,
-            piece_bytes=max(4, piece, 4 * len(channel_names(self.groups)), 0 if self.integrator is None else 32),
+            piece_bytes=max(4, piece, 4 * len(channel_names(self.groups)), streams),
             budget=self._budget,
             max_piece=self.device.max_allocation_bytes,
             limited=loop_limit(self.device) is not None,

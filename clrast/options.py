@@ -42,6 +42,8 @@ EFFECTS = (
 EFFECTS_LEFT_OFF = ("secondary acceleration structure",)
 """Effects that cannot be asked for: it is there where a ray needs it."""
 EFFECT_STATES = ("on", "off", "auto")
+COARSE = "coarse"
+"""A further state of the effect `derivatives`: on, by differences between pixels."""
 
 MAX_SIDE = 65535
 MAX_PIXELS = 1 << 28
@@ -185,7 +187,7 @@ def parse_aov(option: str, value: Any) -> tuple[str, ...]:
 
 
 def parse_effects(option: str, value: Any) -> dict[str, str]:
-    """Effect name with spaces -> on, off or auto, from NAME=STATE (comma lists, sequences) or a mapping."""
+    """Effect name with spaces -> state, from NAME=STATE (comma lists, sequences) or a mapping."""
     if isinstance(value, Mapping):
         pairs = [(str(name), state) for name, state in value.items()]
     else:
@@ -201,7 +203,8 @@ def parse_effects(option: str, value: Any) -> dict[str, str]:
         key = check_choice(option, name.strip().replace(" ", "_").replace("-", "_"), underscored).replace("_", " ")
         if isinstance(state, bool):
             state = "on" if state else "off"
-        check_choice(f"{option} {key.replace(' ', '_')}", state, EFFECT_STATES)
+        states = (*EFFECT_STATES, COARSE) if key == "derivatives" else EFFECT_STATES
+        check_choice(f"{option} {key.replace(' ', '_')}", state, states)
         if effects.setdefault(key, state) != state:
             raise UsageError(f"{option} {key.replace(' ', '_')} is given as {effects[key]} and as {state}: give one")
         if state == "on" and key in EFFECTS_LEFT_OFF:
@@ -296,7 +299,8 @@ class RenderOptions:
     Every value may also be given as the text that the command line takes, such as size="640x480".
 
     size : (width, height) pixels. aov : groups of AOV_GROUPS, in that order, without repeats.
-    effects : effect name (with spaces) -> "on" | "off" | "auto"; an effect that is absent is "auto".
+    effects : effect name (with spaces) -> "on" | "off" | "auto"; an effect that is absent is "auto". `derivatives` may
+    also be "coarse".
     half : float channels of EXR files as 16-bit floats. quality : of PRESETS; it fills what has its default value here,
     and is then None: make_options also knows which options were given.
     device, threads, memory (bytes), repeat : of the machine; they decide no pixel.

@@ -246,7 +246,8 @@ def test_paths_are_counted_as_samples() -> None:
 def test_an_effect_is_turned_and_the_others_stay() -> None:
     base = replace(BASE, effects={"alpha mask": "off"})
     settings = make_settings(base, names=("textures",))
-    assert [each.name for each in settings.chosen] == ["default", "derivatives off", "derivatives on"]
+    names = ["default", *(f"derivatives {each}" for each in ("off", "coarse", "on"))]
+    assert [each.name for each in settings.chosen] == names
     assert settings.chosen[1].options.effects == {"alpha mask": "off", "derivatives": "off"}
     assert settings.chosen[1].changes == {"effects": {"derivatives": "off"}}
 

@@ -163,7 +163,8 @@ Effects = Annotated[
     Texts,
     _option(
         "--effects", metavar="NAME=STATE",
-        text="Force an effect: on, off or auto, as in alpha_mask=off; may be given again. Effects: "
+        text="Force an effect: on, off or auto, as in alpha_mask=off; may be given again. derivatives=coarse takes "
+        "differences of 2 x 2 pixels, as graphics hardware does. Effects: "
         + ", ".join(name.replace(" ", "_") for name in EFFECT_NAMES) + ".", panel=EFFECTS,
     ),
 ]  # fmt: skip

@@ -231,7 +231,8 @@ def _without_color(frame: Frame, scene: Scene, options: RenderOptions) -> Frame:
     plan = plan_effects(scene, options.aov, options.effects, options.mode)
     effects = effects_text(effect.name for effect in plan.effects if effect.on)
     # Without colour no ray goes on from a hit.
-    kept = {name: value for name, value in frame.header.items() if name not in ("max_depth", "samples", "seed")}
+    of_color = ("max_depth", "samples", "seed", *(() if plan["derivatives"] else ("derivatives",)))
+    kept = {name: value for name, value in frame.header.items() if name not in of_color}
     return type(frame)(channels, {**kept, "effects": effects}, frame.stats)
 
 

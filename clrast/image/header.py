@@ -7,7 +7,7 @@ from typing import Any
 
 from clrast import __version__
 from clrast.opencl.features import Edges
-from clrast.options import EFFECTS, RenderOptions
+from clrast.options import COARSE, EFFECTS, RenderOptions
 from clrast.visibility.methods import AUTO, resolve_method
 
 
@@ -31,7 +31,7 @@ def resolved_header(
     switched on; None stands for those that the options force on.
     """
     if effects_on is None:
-        effects_on = [name for name, state in options.effects.items() if state == "on"]
+        effects_on = [name for name, state in options.effects.items() if state in ("on", COARSE)]
     effects_on = list(effects_on)
     header: dict[str, Any] = {
         "version": __version__,
@@ -43,6 +43,8 @@ def resolved_header(
         "effects": effects_text(effects_on),
     }
     on = set(effects_on)
+    if "derivatives" in on and options.effects.get("derivatives") == COARSE:
+        header["derivatives"] = COARSE
     if on & {"reflection", "refraction", "indirect light"}:
         header["max_depth"] = str(options.depth)
     if "indirect light" in on:

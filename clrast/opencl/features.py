@@ -75,6 +75,7 @@ class Features:
     emission: bool = False
     vertex_colors: bool = False
     derivatives: bool = False  # textures are filtered by what a pixel covers
+    coarse_derivatives: bool = False  # of the camera's samples, by differences of 2 x 2 pixels
     sample_list: bool = False  # shading takes a list of samples, not all pixels of a band
     lit: bool = False  # punctual lights; off: the headlight
     secondary: bool = False  # shading leaves hits for rays that go on from them

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clrast.opencl.constants import MIRROR_ROUGHNESS
+from clrast.options import COARSE
 from clrast.scene.model import Material, Scene
 
 EFFECT_NAMES = (
@@ -98,7 +99,7 @@ def plan_effects(
 ) -> EffectPlan:
     """The plan of `scene` in a mode for the output groups `aov`.
 
-    asked : effect name -> "on", "off" or "auto"; "on" and "off" overrule what the scene calls for.
+    asked : effect name -> "on", "off", "auto" or COARSE; all but "auto" overrule what the scene calls for.
     """
     groups, materials = set(aov), used_materials(scene)
     wanted: Wanted = {}
@@ -111,7 +112,9 @@ def plan_effects(
     else:
         wanted["derivatives"] = (False, "no texture is looked up")
     for name, state in (asked or {}).items():
-        if state == "on" and not wanted[name][0]:
+        if state == COARSE and wanted["textures"][0]:
+            wanted[name] = (True, "asked for by --effects: coarse, by differences of 2 x 2 pixels")
+        elif state == "on" and not wanted[name][0]:
             wanted[name] = (True, "asked for by --effects")
         elif state == "off":
             wanted[name] = (False, "switched off by --effects")

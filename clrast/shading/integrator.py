@@ -50,6 +50,9 @@ BYTES_PER_SLOT = 33
 BYTES_PER_RAY = 16 + 16 + 4 + 8 + 28 + 80
 """Origins, directions, excluded; sources and places; what is hit; the item that it becomes."""
 
+SLOT_CHANGE_BYTES, ITEM_FOOTPRINT_BYTES = 32, 48
+"""Besides, where textures are filtered: how a ray's direction changes from pixel to pixel; what an item covers."""
+
 
 def no_rays() -> dict[str, int]:
     """Counts of secondary rays where there are none, by the names of the stats."""
@@ -96,7 +99,7 @@ class Integrator:
     ) -> None:
         self.accumulation = accumulation or Accumulation(Watch())
         self.device, self.features, self.plan, self.depths = device, features, plan, depths
-        self.is_path = features.indirect
+        self.is_path, self._filters = features.indirect, features.derivatives
         self.shows_shadows = plan["shadow"]
         masked = {"alpha_mask": features.alpha_mask, "alpha_blend": features.alpha_blend}
         looked_up = {"textures": features.textures, "vertex_colors": features.vertex_colors}
@@ -140,9 +143,18 @@ class Integrator:
         return self.own_launches + self.tracer.launches + self._lists.launches
 
     @staticmethod
-    def bytes_per_pixel() -> int:
-        """Device bytes that a pixel of a band takes where each has a hit from which two rays go on."""
-        return 52 + 12 + 16 + 2 * BYTES_PER_SLOT + 4 * BYTES_PER_RAY
+    def bytes_per_pixel(filters: bool) -> int:
+        """Device bytes that a pixel of a band takes where each has a hit from which two rays go on.
+
+        filters : whether textures are filtered by footprints.
+        """
+        footprints = (1 + 4) * ITEM_FOOTPRINT_BYTES + 2 * SLOT_CHANGE_BYTES if filters else 0
+        return 52 + 12 + 16 + 2 * BYTES_PER_SLOT + 4 * BYTES_PER_RAY + footprints
+
+    @staticmethod
+    def largest_piece(filters: bool) -> int:
+        """Of those bytes what the largest buffer takes."""
+        return 2 * max(16, SLOT_CHANGE_BYTES if filters else 0)
 
     def start_frame(self) -> None:
         self.counts = no_rays()
@@ -185,8 +197,9 @@ class Integrator:
     ) -> None:
         """Add to the colour of `pixel_count` samples what secondary rays bring. Waits.
 
-        visible_prims : prim_id or NO_HIT. hits : hit_weights, hit_positions, hit_directions and sample_keys, as
-        shade_hits wrote them. values : planes of channels, those of colour from `first_plane` on.
+        visible_prims : prim_id or NO_HIT. hits : hit_weights, hit_positions, hit_directions, sample_keys and where
+        textures are filtered hit_footprints, as shade_hits wrote them. values : planes of channels, those of colour
+        from `first_plane` on.
         """
         if not pixel_count or not self._has_hits(visible_prims, pixel_count):
             return
@@ -200,7 +213,8 @@ class Integrator:
             pixel_count, True,
             {"item_prims": visible_prims, "item_weights": hits["hit_weights"],
              "item_positions": hits["hit_positions"], "item_directions": hits["hit_directions"],
-             "item_throughputs": hits["hit_weights"]},
+             "item_throughputs": hits["hit_weights"],
+             **({"item_footprints": hits["hit_footprints"]} if self._filters else {})},
             hits["hit_positions"], visible_prims, hits["sample_keys"],
         )  # fmt: skip
         goes_on = self.slot_count > 0 and (self.is_path or self._shows_special(visible_prims, pixel_count))
@@ -288,11 +302,12 @@ class Integrator:
         slots = self.slot_count * items.count
         directions, throughputs = self._room("slot_directions", 16 * slots), self._room("slot_throughputs", 16 * slots)
         kinds = self._room("slot_kinds", slots)
+        changes = {"slot_changes": self._room("slot_changes", SLOT_CHANGE_BYTES * slots)} if self._filters else {}
         self._launch(
             self._scattering, "scatter_rays", items.count, item_count=items.count, is_first=int(items.is_first),
             slot_count=self.slot_count, path=path, depth=depth, least_weight=LEAST_WEIGHT, **items.hits,
             item_keys=items.keys, seed=self.depths.seed, **self._mesh, **self._surfaces, slot_directions=directions,
-            slot_throughputs=throughputs, slot_kinds=kinds,
+            slot_throughputs=throughputs, slot_kinds=kinds, **changes,
         )  # fmt: skip
         sources, count = self._lists.list(kinds, slots, "sources")
         if not count:
@@ -300,22 +315,26 @@ class Integrator:
         self._count_kinds(kinds, slots)
         rays = self._leave(items, sources, count, self.slot_count, directions)
         found = self.tracer.enqueue_closest(rays)
-        return self._arrive(items, sources, count, rays.arguments, found, throughputs)
+        return self._arrive(items, sources, count, rays.arguments, found, {"slot_throughputs": throughputs, **changes})
 
     def _arrive(
         self, items: Items, sources: cl.Buffer, count: int, rays: dict[str, cl.Buffer], found: dict[str, cl.Buffer],
-        throughputs: cl.Buffer,
+        slots: dict[str, cl.Buffer],
     ) -> Items:  # fmt: skip
         make = buffers.create
         vectors = ("item_positions", "item_directions", "item_throughputs")
         made = {name: make(self.device, 16 * count) for name in vectors}
+        left = {}
+        if self._filters:
+            made["item_footprints"] = make(self.device, ITEM_FOOTPRINT_BYTES * count)
+            left = {"prims_left": items.hits["item_prims"], "footprints_left": items.hits["item_footprints"],
+                    "origins": rays["origins"]}  # fmt: skip
         numbers = {name: make(self.device, 4 * count) for name in ("item_pixels", "item_keys")}
         self._launch(
             self._scattering, "arrive", count, ray_count=count, slot_count=self.slot_count,
             is_first=int(items.is_first), sources=sources, prims_hit=found["prims_hit"], weights=found["weights"],
-            directions=rays["directions"], slot_throughputs=throughputs, pixels_left=items.pixels,
-            keys_left=items.keys, positions=self._mesh["positions"],
-            indices=self._mesh["indices"], **made, **numbers,
+            directions=rays["directions"], pixels_left=items.pixels, keys_left=items.keys,
+            positions=self._mesh["positions"], indices=self._mesh["indices"], **slots, **left, **made, **numbers,
         )  # fmt: skip
         hits = {"item_prims": found["prims_hit"], "item_weights": found["weights"], **made}
         return Items(count, False, hits, rays["origins"], numbers["item_pixels"], numbers["item_keys"])

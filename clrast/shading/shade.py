@@ -38,6 +38,9 @@ WORK_GROUP = 64
 HIT_BYTES = {"hit_weights": 16, "hit_positions": 16, "hit_directions": 16, "sample_keys": 4}
 """What shade_hits leaves of each sample where rays go on from hits."""
 
+FOOTPRINT_BYTES = {"hit_footprints": 48}
+"""And of what it covers, where textures are filtered."""
+
 
 def channel_names(groups: tuple[str, ...]) -> list[str]:
     """Names of the float planes of these groups, in plane order."""
@@ -96,7 +99,7 @@ class Shader:
         self.values = buffers.create(self.device, 4 * len(self.names) * self._capacity)
         self.ids = buffers.create(self.device, 4 * (2 * self._capacity if self.has_ids else 1))
         self.open_pixels = buffers.create(self.device, self._capacity)
-        sizes = {} if self.integrator is None else HIT_BYTES
+        sizes = {} if self.integrator is None else {**HIT_BYTES, **(FOOTPRINT_BYTES if self._filters else {})}
         self._hits = {name: buffers.create(self.device, size * self._capacity) for name, size in sizes.items()}
 
     @staticmethod

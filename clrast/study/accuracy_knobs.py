@@ -67,7 +67,7 @@ KNOBS = (
     # Many samples of a whole texture are what a filtered lookup stands for.
     Knob(
         "textures",
-        _values("effects", {"derivatives": "off"}, {"derivatives": "on"}),
+        _values("effects", {"derivatives": "off"}, {"derivatives": "coarse"}, {"derivatives": "on"}),
         {"effects": {"derivatives": "off"}},
     ),
     Knob("output", _values("half", False, True), {"half": False}),

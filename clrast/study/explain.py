@@ -140,7 +140,7 @@ def effect_bytes(scene: Scene, plan: EffectPlan, options: RenderOptions) -> dict
     """Device bytes that each effect adds, of the whole image in one band; all effects in their order."""
     pixels = options.size[0] * options.size[1]
     rays_at_once = [name for name in SECONDARY_EFFECTS if plan[name]]
-    streams = pixels * Integrator.bytes_per_pixel() // len(rays_at_once) if rays_at_once else 0
+    streams = pixels * Integrator.bytes_per_pixel(plan["derivatives"]) // len(rays_at_once) if rays_at_once else 0
     found = {effect.name: 0 for effect in plan.effects}
     found.update(dict.fromkeys(rays_at_once, streams))
     # Corners, indices and ids of triangles, unscaled vertices; nodes come to some 24 bytes a triangle.
