@@ -28,6 +28,8 @@ AVAILABLE_PRECISIONS = PRECISIONS
 AVAILABLE_METHODS = (AUTO, *METHOD_TABLE)
 METHODS = AVAILABLE_METHODS
 """In the order of the design."""
+AUTO_ACCELERATOR = "bvh"
+"""Of secondary rays where --accelerator does not say: XX."""
 GRID_METHODS = tuple(name for name, row in METHOD_TABLE.items() if row.grid)
 MODES = ("cast", "shadow", "whitted", "path")
 PROJECTIONS = ("perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube")
@@ -354,6 +356,16 @@ class RenderOptions:
         """Paths of a shaded sample in mode `path`."""
         return DEFAULT_PATHS if self.samples is None else self.samples
 
+    @property
+    def casts_grid(self) -> bool:
+        """Whether --accelerator, not --method, chooses the grid for the camera's rays: where no other rays are traced."""
+        return self.method == AUTO and self.accelerator == "grid" and self.mode == "cast"
+
+    @property
+    def ray_accelerator(self) -> str:
+        """What secondary rays walk through, bvh or grid; see AUTO_ACCELERATOR."""
+        return AUTO_ACCELERATOR if self.accelerator == "auto" else self.accelerator
+
     def check_together(self) -> None:
         """Raises UsageError where options do not go together; a render does it before anything else."""
         if self.resume is not None and self.aa.startswith("auto"):
@@ -393,16 +405,18 @@ class RenderOptions:
         if self.method not in (AUTO, *METHODS_OF_ANY_VIEW):
             others = listed(METHODS_OF_ANY_VIEW)
             raise UsageError(f"--method {self.method} needs planar views, and {projection} is none: use {others}")
-        if self.accelerator == "grid":
+        if self.casts_grid:
             raise UsageError(f"--accelerator grid needs planar views, and {projection} is none: leave it out")
         if self.evaluation != "direct":
             raise UsageError(f"--evaluation {self.evaluation} is not available with {projection}: use direct")
 
     def _check_accelerator(self) -> None:
-        is_grid = self.method in GRID_METHODS or (self.method == AUTO and self.accelerator == "grid")
+        """In mode cast the accelerator is the camera rays', so that it has to be the method's; else that of all others."""
+        is_grid = self.method in GRID_METHODS or self.accelerator == "grid"
         if self.grid_resolution is not None and not is_grid:
-            raise UsageError(f"--grid-resolution is of methods with a grid: use --method {listed(GRID_METHODS)}")
-        if self.method == AUTO or self.accelerator == "auto":
+            methods = listed(GRID_METHODS)
+            raise UsageError(f"--grid-resolution is of methods with a grid: use --method {methods}, or --accelerator grid")
+        if self.method == AUTO or self.accelerator == "auto" or self.mode != "cast":
             return
         is_named, mend = self.method in GRID_METHODS, "leave it out, or name another method"
         if self.accelerator == "grid" and not is_named:

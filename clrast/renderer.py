@@ -148,7 +148,7 @@ def start_job(
 ) -> RenderJob:
     """The job of the method that the options name; with `auto` the fastest, by frames of the view itself."""
     job = RenderJob(device, scene, vectors, options, plan, accumulation=accumulation)
-    if options.method != AUTO or options.accelerator == "grid":
+    if options.method != AUTO or options.casts_grid:
         return job
     if options.precision == "fixed":
         job.reason = f"{SNAPPED_DEFAULT}: --precision fixed is for projected vertices"
