@@ -358,7 +358,7 @@ class RenderOptions:
 
     @property
     def casts_grid(self) -> bool:
-        """Whether --accelerator, not --method, chooses the grid for the camera's rays: where no other rays are traced."""
+        """Whether --accelerator chooses the grid for the camera's rays: only where there are no others."""
         return self.method == AUTO and self.accelerator == "grid" and self.mode == "cast"
 
     @property
@@ -411,11 +411,11 @@ class RenderOptions:
             raise UsageError(f"--evaluation {self.evaluation} is not available with {projection}: use direct")
 
     def _check_accelerator(self) -> None:
-        """In mode cast the accelerator is the camera rays', so that it has to be the method's; else that of all others."""
+        """In mode cast the accelerator is that of the camera's rays, and has to be the method's; else of all others."""
         is_grid = self.method in GRID_METHODS or self.accelerator == "grid"
         if self.grid_resolution is not None and not is_grid:
-            methods = listed(GRID_METHODS)
-            raise UsageError(f"--grid-resolution is of methods with a grid: use --method {methods}, or --accelerator grid")
+            mend = f"use --method {listed(GRID_METHODS)}, or --accelerator grid"
+            raise UsageError(f"--grid-resolution is of methods with a grid: {mend}")
         if self.method == AUTO or self.accelerator == "auto" or self.mode != "cast":
             return
         is_named, mend = self.method in GRID_METHODS, "leave it out, or name another method"

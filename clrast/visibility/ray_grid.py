@@ -1,4 +1,4 @@
-"""A uniform grid for rays of any origin and direction: the lists of its cells in blocks, as cl/trace_rays.cl takes them.
+"""A uniform grid for rays of any origin and direction: its cells' lists in blocks, as cl/trace_rays.cl takes them.
 
 The grid is that of camera rays (grid.py), here in world space; how rays walk it is said in cl/walk_grid.clh. A cell's
 triangles are laid out side by side in blocks of its own, as a BVH's leaves are, so that vectors test a block at a time.
@@ -33,8 +33,10 @@ STRAY_FLOOR = 2.0**-60
 
 @dataclass(frozen=True)
 class GridRequest:
-    """A grid to build. budget : bytes of device memory for all of it. resolution : cells along the shortest side, or None
-    for a choice."""
+    """A grid to build.
+
+    budget : bytes of device memory for all of it. resolution : cells along the shortest side, or None for a choice.
+    """
 
     budget: int
     resolution: int | None = None
@@ -95,8 +97,8 @@ def build_ray_grid(
     if needed > wanted.budget or BLOCK_BYTES * len(places) > device.max_allocation_bytes:
         sides = "x".join(map(str, grid.shape.counts))
         raise CapacityError(
-            f"a grid of {sides} cells takes {needed} bytes of device memory for secondary rays, and there are "
-            f"{min(wanted.budget, device.max_allocation_bytes)}: use --accelerator bvh, or give a smaller --grid-resolution"
+            f"a grid of {sides} cells for secondary rays takes {needed} bytes of device memory, and there are "
+            f"{min(wanted.budget, device.max_allocation_bytes)}: give a smaller --grid-resolution, or --accelerator bvh"
         )
     size, pad = sum(grid.shape.size), min(grid.shape.pad)
     farthest = (0.5 * pad - STRAY_FLOOR) / ROUNDINGS - size

@@ -66,8 +66,9 @@ class RayBuffers:
 
 
 def ray_features(device: Device, bvh: Bvh | None, **masks: Any) -> Features:
-    """The build options of a tracer over that hierarchy, or over a grid where there is none; `Geometry` must be made with
-    them, at world_scale 1.
+    """The build options of a tracer over that hierarchy, or without one over a grid.
+
+    `Geometry` must be made with them, at world_scale 1.
 
     masks : what is looked up at hits, of alpha_mask, alpha_blend, textures and vertex_colors.
     """
@@ -139,11 +140,11 @@ def check_loops(device: Device) -> None:
 class RayTracer:
     """Rays against one scene; every method waits, but those that enqueue.
 
-    features : of `ray_features`. geometry : built with these, at world_scale 1, with its hierarchy. grid : over a geometry
-    without one. masks : with features.alpha_mask or alpha_blend what surfaces are looked up in, by the arguments of
-    trace_rays.cl; rays then pass where a surface is masked, and `any` also where it blends and is thin. `accelerator` :
-    bvh or grid. `launches` : kernels launched. `nbytes` : of the structure and its leaves on the device. `grid_ms` : what
-    its build took, where build_tracer built one.
+    features : of `ray_features`. geometry : built with these, at world_scale 1, with its hierarchy; or without, and
+    grid : over it. masks : with features.alpha_mask or alpha_blend what surfaces are looked up in, by the arguments of
+    trace_rays.cl; rays then pass where a surface is masked, and `any` also where it blends and is thin.
+    `accelerator` : bvh or grid. `launches` : kernels launched. `nbytes` : of the structure and its leaves on the
+    device. `grid_ms` : what building the grid took, where build_tracer did.
     Raises DeviceError on drivers that limit loops.
     """
 
@@ -157,7 +158,7 @@ class RayTracer:
     ) -> None:
         check_loops(device)
         if geometry.world_positions is None or (geometry.prims is None) == (grid is None):
-            raise UsageError("rays need a geometry of precision 'exact', with a BVH in the order of its leaves, or a grid")
+            raise UsageError("rays need a geometry of precision 'exact', in the order of a BVH's leaves or with a grid")
         self.device, self.features, self.geometry = device, features, geometry
         self.launches = 0
         self.grid_ms = 0.0
@@ -194,8 +195,9 @@ class RayTracer:
         assert bvh is not None
         children, places, counts = leaf_blocks(bvh)
         self.nbytes = children.nbytes + bvh.boxes.nbytes
-        nodes = {"children": buffers.upload(self.device, children), "node_boxes": buffers.upload(self.device, bvh.boxes)}
-        return {"prims": self.geometry.prims, **nodes}, places, counts
+        nodes = {"children": children, "node_boxes": bvh.boxes}
+        made = {name: buffers.upload(self.device, each) for name, each in nodes.items()}
+        return {"prims": self.geometry.prims, **made}, places, counts
 
     def closest(
         self,
