@@ -143,8 +143,8 @@ Accelerator = Annotated[
     Texts,
     _option(
         "--accelerator", metavar="NAME",
-        text="What secondary rays walk through: auto [default] or bvh, the faster, or grid. In mode cast the camera's: "
-        "with --method auto, grid is raycast-grid.",
+        text="What secondary rays walk through, bvh or grid; auto [default] is bvh, with which they took half the time "
+        "or less. In mode cast the camera's rays: with --method auto, grid is raycast-grid.",
         panel=METHOD,
     ),
 ]  # fmt: skip
