@@ -36,6 +36,7 @@ from clrast.visibility.grid_passes import STATE_BYTES, GridPasses
 from clrast.visibility.grid_rays import GRID_SHARE, GridRaycaster, check_loops, grid_view_bytes
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import AUTO, SNAPPED_DEFAULT, Method, resolve_method
+from clrast.visibility.ray_grid import GridRequest
 from clrast.visibility.sample_passes import SamplePasses
 from clrast.visibility.screen_bounds import BOUND_BYTES
 from clrast.visibility.settle import ContenderList, settle_bytes
@@ -76,7 +77,7 @@ def hierarchy_of(scene: Scene) -> tuple[Bvh, float]:
 
 def named_method(options: RenderOptions) -> Method:
     """The method that the options name, with their oracles; the default one for `auto`."""
-    if options.method == AUTO and options.accelerator == "grid":
+    if options.casts_grid:
         return resolve_method("raycast-grid", evaluation=options.evaluation)
     if options.method == AUTO:
         default = SNAPPED_DEFAULT if options.precision == "fixed" else DEFAULT
@@ -160,7 +161,8 @@ class RenderJob:
         if self.method.grid:
             check_loops(device)
         traces_rays = plan["secondary acceleration structure"]
-        needs_bvh = self.method.needs_bvh or traces_rays
+        self.accelerator = options.ray_accelerator if traces_rays else None
+        needs_bvh = self.method.needs_bvh or self.accelerator == "bvh"
         hierarchy, self.times["build"] = hierarchy_of(scene) if needs_bvh else (None, 0.0)
         bvh = hierarchy if self.method.needs_bvh else None
         self.features = make_features(device, scene, vectors, options, plan, self.method, bvh)
@@ -178,7 +180,7 @@ class RenderJob:
         self.times["upload"] = 1000 * (time.perf_counter() - started)
         self.scene_bytes = self.geometry.nbytes + self.surfaces.nbytes
         self.grid = self._build_grid() if self.method.grid else None
-        self.integrator = self._make_integrator(hierarchy, accumulation)
+        self.integrator = self._make_integrator(hierarchy if self.accelerator == "bvh" else None, accumulation)
         self.bands = self._plan_bands()
         check_bands(self.options, len(self.bands))
         started = time.perf_counter()
@@ -197,13 +199,15 @@ class RenderJob:
         self.launches = self.passes = self.reference_peak = self.band_count = 0
 
     def _make_integrator(self, hierarchy: Bvh | None, accumulation: Accumulation | None) -> Integrator | None:
-        if hierarchy is None or not self.features.secondary:
+        if self.accelerator is None:
             return None
         paths = self.options.path_count if self.features.indirect else 1
         depths = Depths(self.options.depth, paths, self.options.seed)
-        scene = (self.scene, self.surfaces, hierarchy)
+        structure = hierarchy or GridRequest(self._grid_budget, self.options.grid_resolution)
+        scene = (self.scene, self.surfaces, structure)
         made = Integrator(self.device, self.features, self.plan, *scene, depths, accumulation)
         self.scene_bytes += made.nbytes
+        self.times["build"] += made.tracer.grid_ms
         return made
 
     @property
@@ -211,13 +215,17 @@ class RenderJob:
         """Bytes of device memory that all buffers may take."""
         return self.options.memory or int(MEMORY_SHARE * self.device.global_memory_bytes)
 
+    @property
+    def _grid_budget(self) -> int:
+        """Bytes of device memory that a grid may take, after what the scene takes."""
+        return int(GRID_SHARE * (self._budget - self.scene_bytes))
+
     def _build_grid(self) -> Grid:
         started = time.perf_counter()
         low, high = self.scene.bounding_box()
         scale = float(self.view["world_scale"])
-        budget = int(GRID_SHARE * (self._budget - self.scene_bytes))
         count, corners = self.scene.triangle_count, self.geometry.corners
-        builder = GridBuilder(self.device, self.features, corners, count, scale * low, scale * high, budget)
+        builder = GridBuilder(self.device, self.features, corners, count, scale * low, scale * high, self._grid_budget)
         grid = builder.build(self.options.grid_resolution)
         self.times["build"] += 1000 * (time.perf_counter() - started)
         return grid
@@ -438,6 +446,7 @@ class RenderJob:
             "precision": self.options.precision,
             "aa": self.options.aa,
             "mode": self.options.mode,
+            "accelerator": self.accelerator,
             "bytes_device": self.bytes_device(),
             "bytes_per_triangle": self.bytes_device() / triangles,
             "counts": {

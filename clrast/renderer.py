@@ -66,7 +66,7 @@ def render(
     if camera.projection == "cube":
         return render_cube(scene, camera, options, watch)
     vectors = camera_vectors(camera, width, height)
-    plan = plan_effects(scene, options.aov, options.effects, options.mode)
+    plan = plan_effects(scene, options.aov, options.effects, options.mode, options.ray_accelerator)
     watch = watch or Watch()
     if options.time_budget is not None:
         watch.deadline = started + options.time_budget
@@ -116,7 +116,7 @@ def render_cube(scene: Scene, camera: Camera, options: RenderOptions, watch: Wat
     of_face = replace(options, size=(side, side))
     frames = [render(scene, face, options=of_face, watch=watch) for face in cube_faces(camera)]
     channels = {name: np.concatenate([frame[name] for frame in frames]) for name in frames[0]}
-    plan = plan_effects(scene, options.aov, options.effects, options.mode)
+    plan = plan_effects(scene, options.aov, options.effects, options.mode, options.ray_accelerator)
     vectors = cube_vectors(camera)
     header = resolved_header(options, vectors, [e.name for e in plan.effects if e.on], camera.projection)
     if "samples" in header:
@@ -148,7 +148,7 @@ def start_job(
 ) -> RenderJob:
     """The job of the method that the options name; with `auto` the fastest, by frames of the view itself."""
     job = RenderJob(device, scene, vectors, options, plan, accumulation=accumulation)
-    if options.method != AUTO or options.accelerator == "grid":
+    if options.method != AUTO or options.casts_grid:
         return job
     if options.precision == "fixed":
         job.reason = f"{SNAPPED_DEFAULT}: --precision fixed is for projected vertices"

@@ -1,6 +1,6 @@
 """The Cornell box in Mitsuba 3, in a process of its own.
 
-    python cornell_worker.py CAMERA.npz OUT.npz DEPTH BATCHES SAMPLES
+    python cornell_worker.py CAMERA.npz OUT.npz BOUNCES BATCHES SAMPLES
 
 What is compared is the transport of light: its integrator, sampler, emitter and visibility are Mitsuba's. The BRDF is
 glTF's, written here again for it, as none of its own is the same: its plastics divide by what leaves the coat, its
@@ -16,7 +16,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from cornell_box import QUADS, SURFACES
+from cornell_box import SURFACES
+from cornell_mitsuba import box_tree, path_tree
 
 mi.set_variant("llvm_ad_rgb")
 
@@ -66,34 +67,16 @@ class MetallicRoughness(mi.BSDF):
         return "MetallicRoughness[]"
 
 
-def write_ply(path: Path, corners: Any) -> None:
-    header = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
-    header += "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
-    rows = [" ".join(repr(float(np.float32(c))) for c in corner) for corner in corners]
-    path.write_text(header + "\n".join([*rows, "3 0 1 2", "3 0 2 3", ""]))
-
-
-def build_scene(folder: Path, depth: int) -> Any:
+def build_scene(folder: Path, bounces: int) -> Any:
     mi.register_bsdf("metallic_roughness", MetallicRoughness)
-    tree: dict[str, Any] = {"type": "scene"}
-    for k, quad in enumerate(QUADS):
-        path = folder / f"quad{k}.ply"
-        write_ply(path, quad.corners)
-        tree[f"quad{k}"] = {
-            "type": "ply", "filename": str(path), "face_normals": True,
-            "bsdf": {"type": "metallic_roughness", "surface": quad.surface},
-        }  # fmt: skip
-        emission = SURFACES[quad.surface].emission
-        if any(emission):
-            tree[f"quad{k}"]["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": list(emission)}}
-    tree["integrator"] = {"type": "path", "max_depth": depth, "rr_depth": 1000}
-    return mi.load_dict(tree)
+    tree = box_tree(folder, lambda surface: {"type": "metallic_roughness", "surface": surface})
+    return mi.load_dict({**tree, "integrator": path_tree(bounces)})
 
 
 def main() -> None:
     camera, out = np.load(sys.argv[1]), Path(sys.argv[2])
-    depth, batches, samples = (int(text) for text in sys.argv[3:])
-    scene = build_scene(out.parent, depth)
+    bounces, batches, samples = (int(text) for text in sys.argv[3:])
+    scene = build_scene(out.parent, bounces)
     side = int(camera["size"])
     pixel = dr.arange(mi.UInt32, side * side * samples) // samples
     x, y = mi.Float(pixel % side) + 0.5, mi.Float(pixel // side) + 0.5

@@ -168,6 +168,36 @@ def leaving_directions(origins: np.ndarray, rng: np.random.Generator) -> np.ndar
     return directions
 
 
+def soup_of_scales(count: int, seed: int) -> Mesh:
+    """Triangles whose corners have coordinates of sizes from 1e-8 to 1e8, each on its own."""
+    corners = scaled_numbers(np.random.default_rng(seed), (count, 3, 3))
+    return corners.reshape(-1, 3), np.arange(3 * count, dtype=np.uint32).reshape(-1, 3)
+
+
+def aimed_rays(mesh: Mesh, count: int, seed: int) -> Rays:
+    """Rays from anywhere in sight towards random points, edges and vertices."""
+    rng = np.random.default_rng(seed)
+    at = np.concatenate([targets(mesh, kind, count, rng) for kind in TARGETS])
+    size = np.abs(mesh[0].astype(np.float64) - mesh[0].mean(axis=0)).max()
+    origins = (mesh[0].mean(axis=0) + rng.normal(size=at.shape) * size).astype(np.float32)
+    return origins, (at - origins).astype(np.float32)
+
+
+def closest_bytes(tracer: RayTracer, *arguments: np.ndarray) -> list[bytes]:
+    hits = tracer.closest(*arguments)
+    return [a.tobytes() for a in (hits.prim_id, hits.t, hits.t_error, hits.barycentrics)]
+
+
+def limited_rays(tracer: RayTracer, rays: Rays, seed: int) -> tuple[np.ndarray, ...]:
+    """The rays with t_min and t_max at, just before, just behind and away from what they hit, and a prim left out."""
+    rng = np.random.default_rng(seed)
+    found = tracer.closest(*rays)
+    t = np.where(np.isfinite(found.t), found.t, 1).astype(np.float32)
+    steps = np.stack([t, np.nextafter(t, np.float32(0)), np.nextafter(t, np.float32(np.inf)), t / 2, t * 2, t * 0])
+    choose = lambda: steps[rng.integers(0, len(steps), len(t)), np.arange(len(t))]  # noqa: E731
+    return (*rays, choose(), np.where(rng.random(len(t)) < 0.3, np.float32(np.inf), choose() * 2), found.prim_id)
+
+
 def lost_in_bounces(
     tracer: RayTracer, mesh: Mesh, kind: str, count: int, rng: np.random.Generator, bounces: int = 4
 ) -> tuple[int, int]:

@@ -32,7 +32,7 @@ def test_nothing_is_wrong_or_rays_are_refused(device: Device, tool, capsys: pyte
         return
     assert code == 0
     assert all(" 0 wrong" in line for line in out.splitlines() if " tried " in line)
-    for count in ("leaks", "double", "through", "bounces", "left", "exact", "hierarchy", "any hit"):
+    for count in ("leaks", "double", "through", "bounces", "left", "exact", "hierarchy", "grid", "any hit"):
         assert count in out
 
 
@@ -42,7 +42,7 @@ def test_a_hole_is_counted(
     if loop_limit(device) is not None:
         pytest.skip(f"{device.runtime} limits loops: rays are refused there, which another test holds")
     whole = tool.make_tracer
-    monkeypatch.setattr(tool, "make_tracer", lambda device, p, t, bvh=None: whole(device, p, t[:-1]))
+    monkeypatch.setattr(tool, "make_tracer", lambda device, p, t, **given: whole(device, p, t[:-1]))
     assert tool.main(short(device)) == 1
     assert " wrong" in capsys.readouterr().out.splitlines()[-1]
 

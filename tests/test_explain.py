@@ -62,6 +62,21 @@ def test_expected_rays_are_near_those_of_the_render(card: str, capsys: pytest.Ca
     assert "trace_any" in rows["shadow"]["kernels"]  # type: ignore[operator]
 
 
+def test_the_structure_of_secondary_rays_is_named(card: str, capsys: pytest.CaptureFixture[str]) -> None:
+    taken = {}
+    for name, what in (("auto", "BVH"), ("bvh", "BVH"), ("grid", "uniform grid")):
+        rows = explained(capsys, card, "--mode", "whitted", "--accelerator", name, "--plan-only")
+        row = rows["secondary acceleration structure"]
+        assert row["reason"] == f"{what}, for shadow and reflection"
+        taken[name] = row["bytes"]
+    assert taken["auto"] == taken["bvh"] < taken["grid"]  # type: ignore[operator]
+    frame = render(load(card), mode="whitted", size=(40, 30), accelerator="grid")
+    (row,) = (row for row in frame.stats["effects"] if row["name"] == "secondary acceleration structure")
+    assert frame.stats["accelerator"] == "grid" and row["reason"] == f"{what}, for shadow and reflection"
+    assert frame.stats["times_ms"]["build"] > 0
+    assert render(load(card), size=(40, 30)).stats["accelerator"] is None
+
+
 def test_a_plan_alone_renders_nothing(card: str, capsys: pytest.CaptureFixture[str]) -> None:
     rows = explained(capsys, card, "--mode", "path", "--plan-only")
     assert rows["indirect light"]["on"] and rows["indirect light"]["rays_expected"] is None

@@ -85,6 +85,23 @@ def test_methods(first_device: Device, usual: Frame, method: str) -> None:
     assert_same(traced(first_device, SCENE, VIEW, "path", method=method, **PATHS), usual)
 
 
+@pytest.mark.parametrize("mode", ["shadow", "whitted", "path"])
+def test_accelerators(first_device: Device, mode: str) -> None:
+    """What secondary rays walk through is named in the stats, and changes nothing: masks and panes are among it."""
+    options = PATHS if mode == "path" else {}
+    made = {name: traced(first_device, SCENE, VIEW, mode, accelerator=name, **options) for name in ("bvh", "grid")}
+    assert_same(made["grid"], made["bvh"])
+    assert sum(rays(made["grid"]).values()) > 500
+    assert [frame.stats["accelerator"] for frame in made.values()] == ["bvh", "grid"]
+    assert made["grid"].stats["method"] == made["bvh"].stats["method"]
+
+
+@pytest.mark.parametrize("resolution", [1, 30])
+def test_grids_of_any_resolution(first_device: Device, usual: Frame, resolution: int) -> None:
+    options = {"accelerator": "grid", "grid_resolution": resolution, **PATHS}
+    assert_same(traced(first_device, SCENE, VIEW, "path", **options), usual)
+
+
 def test_tiles_and_chunks(first_device: Device, usual: Frame) -> None:
     with settings(4, 3):
         assert_same(traced(first_device, SCENE, VIEW, "path", **PATHS), usual)

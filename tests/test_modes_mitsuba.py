@@ -37,7 +37,7 @@ def their_means(frame: clrast.Frame, folder: Path, depth: int) -> np.ndarray:
     """(batches, SIDE, SIDE, 3) means of Mitsuba's samples through the pixels' centres."""
     vectors = {name: np.array(vector, np.float64) for name, vector in frame.stats["camera"].items()}
     np.savez(folder / "camera.npz", size=SIDE, **vectors)
-    numbers = [str(each) for each in (depth + 2, THEIRS["batches"], THEIRS["samples"])]
+    numbers = [str(each) for each in (depth, THEIRS["batches"], THEIRS["samples"])]
     command = [sys.executable, str(WORKER), str(folder / "camera.npz"), str(folder / "out.npz"), *numbers]
     subprocess.run(command, check=True, timeout=1800)
     return np.load(folder / "out.npz")["means"].astype(np.float64)

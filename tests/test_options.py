@@ -199,6 +199,7 @@ def test_nonsense_is_refused_with_what_is_allowed(name: str, value: str, message
         ({"intersection": "barycentric", "method": "3dr-full"}, "is of --method raycast-brute: give that method"),
         ({"grid_resolution": "64"}, "--grid-resolution is of methods with a grid: use --method raycast-grid or"),
         ({"grid_resolution": "64", "method": "3dr-full"}, "is of methods with a grid: use --method raycast-grid or"),
+        ({"accelerator": "bvh", "grid_resolution": 9, "mode": "path"}, "a grid: use --method .* or --accelerator grid"),
         ({"accelerator": "grid", "method": "3dr-full"}, "not that of 3dr-full: use --method raycast-grid or raycast-"),
         ({"accelerator": "bvh", "method": "raycast-grid"}, "not that of raycast-grid: leave it out"),
         ({"oracle": "pass=naive", "method": "raycast-grid"}, "--oracle pass: raycast-grid has no rays that ask it"),
@@ -212,6 +213,22 @@ def test_what_does_not_go_together_says_what_does(values: dict[str, str], messag
         make_options(values)
     assert not isinstance(caught.value, UnavailableError)
     assert make_options(values, whole=False) == RenderOptions(**values)
+
+
+def test_the_accelerator_is_that_of_secondary_rays_where_there_are_any() -> None:
+    """In mode cast it is the camera's, whose method then is the grid's or has to be; elsewhere they are two things."""
+    for mode, casts in (("cast", True), ("shadow", False), ("path", False)):
+        made = make_options({"accelerator": "grid", "mode": mode})
+        assert made.casts_grid == casts and made.ray_accelerator == "grid"
+    for method, accelerator in (("3dr-full", "grid"), ("raycast-grid", "bvh"), ("raycast-bvh", "grid")):
+        made = make_options(
+            {"accelerator": accelerator, "method": method, "mode": "whitted", "grid_resolution": 9}
+        )
+        assert made.method == method and made.ray_accelerator == accelerator and not made.casts_grid
+    assert make_options({"mode": "path"}).ray_accelerator == "bvh"
+    assert make_options({"accelerator": "grid", "mode": "path"}).check_projection("fisheye") is None
+    with pytest.raises(UsageError, match="--accelerator grid needs planar views"):
+        make_options({"accelerator": "grid"}).check_projection("fisheye")
 
 
 def test_what_is_there_is_taken() -> None:

@@ -12,20 +12,22 @@ from ray_worlds import (
     TARGETS,
     Mesh,
     Rays,
+    aimed_rays,
     box,
     bumpy_sphere,
+    closest_bytes,
     icosphere,
     kernel_radius,
     lattice_rays,
     lattice_soup,
+    limited_rays,
     lost_in_bounces,
     one_box,
     placed,
     rays_from_inside,
     rays_from_outside,
     reintersections,
-    scaled_numbers,
-    targets,
+    soup_of_scales,
     tetrahedron,
     tilted_box,
 )
@@ -45,21 +47,6 @@ def _device_takes_long_loops(request: pytest.FixtureRequest) -> None:
     device = request.getfixturevalue("device")
     if loop_limit(device) is not None:
         pytest.skip(f"{device.runtime} limits loops: rays are refused there, which another test holds")
-
-
-def soup_of_scales(count: int, seed: int) -> Mesh:
-    """Triangles whose corners have coordinates of sizes from 1e-8 to 1e8, each on its own."""
-    corners = scaled_numbers(np.random.default_rng(seed), (count, 3, 3))
-    return corners.reshape(-1, 3), np.arange(3 * count, dtype=np.uint32).reshape(-1, 3)
-
-
-def aimed_rays(mesh: Mesh, count: int, seed: int) -> Rays:
-    """Rays from anywhere in sight towards random points, edges and vertices."""
-    rng = np.random.default_rng(seed)
-    at = np.concatenate([targets(mesh, kind, count, rng) for kind in TARGETS])
-    size = np.abs(mesh[0].astype(np.float64) - mesh[0].mean(axis=0)).max()
-    origins = (mesh[0].mean(axis=0) + rng.normal(size=at.shape) * size).astype(np.float32)
-    return origins, (at - origins).astype(np.float32)
 
 
 def worlds() -> dict[str, tuple[Mesh, Rays]]:
@@ -133,21 +120,6 @@ def test_barycentrics_are_those_of_the_file_s_order(device: Device) -> None:
 
 
 # --- the hierarchy changes nothing ------------------------------------------------------------------
-
-
-def closest_bytes(tracer: RayTracer, *arguments: np.ndarray) -> list[bytes]:
-    hits = tracer.closest(*arguments)
-    return [a.tobytes() for a in (hits.prim_id, hits.t, hits.t_error, hits.barycentrics)]
-
-
-def limited_rays(tracer: RayTracer, rays: Rays, seed: int) -> tuple[np.ndarray, ...]:
-    """The rays with t_min and t_max at, just before, just behind and away from what they hit, and a prim left out."""
-    rng = np.random.default_rng(seed)
-    found = tracer.closest(*rays)
-    t = np.where(np.isfinite(found.t), found.t, 1).astype(np.float32)
-    steps = np.stack([t, np.nextafter(t, np.float32(0)), np.nextafter(t, np.float32(np.inf)), t / 2, t * 2, t * 0])
-    choose = lambda: steps[rng.integers(0, len(steps), len(t)), np.arange(len(t))]  # noqa: E731
-    return (*rays, choose(), np.where(rng.random(len(t)) < 0.3, np.float32(np.inf), choose() * 2), found.prim_id)
 
 
 @pytest.mark.parametrize("name", ["clutter", "bumpy", "all scales", "lattice"])

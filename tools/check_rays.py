@@ -12,6 +12,7 @@ Prints a line for each count: tried, wrong. Exit 1 where anything is wrong, 69 w
     left       pbrt's reintersection test: triangles with coordinates of 1e-8 to 1e8, nothing excluded
     exact      first hits against real arithmetic (tests/reference.py), t within its bound
     hierarchy  the hierarchy against all triangles one by one, bit for bit, and any hit against the closest
+    grid       the same of a uniform grid
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from clrast.errors import ClrastError  # noqa: E402
 from clrast.opencl.device import Device, open_device  # noqa: E402
 from clrast.opencl.layout import NO_HIT  # noqa: E402
 from clrast.scene.load import load  # noqa: E402
+from clrast.visibility.ray_grid import GridRequest  # noqa: E402
 from clrast.visibility.rays import make_tracer  # noqa: E402
 
 Count = tuple[str, int, int]
@@ -123,7 +125,7 @@ def _aimed(mesh: worlds.Mesh, count: int) -> tuple[worlds.Mesh, worlds.Rays]:
     return mesh, (origins, (at - origins).astype(np.float32))
 
 
-def count_hierarchy(device: Device, ray_count: int) -> Iterator[Count]:
+def count_structures(device: Device, ray_count: int) -> Iterator[Count]:
     rng = np.random.default_rng(SEED)
     corners = rng.random((3000, 1, 3)) + 0.2 * (rng.random((3000, 3, 3)) - 0.5)
     soup = corners.reshape(-1, 3).astype(np.float32), np.arange(9000, dtype=np.uint32).reshape(-1, 3)
@@ -133,13 +135,16 @@ def count_hierarchy(device: Device, ray_count: int) -> Iterator[Count]:
         "lattice": (worlds.lattice_soup(400, SEED), worlds.lattice_rays(ray_count, SEED)),
     }
     for name, (mesh, rays) in cases.items():
-        tracer, brute = make_tracer(device, *mesh), make_tracer(device, *mesh, bvh=worlds.one_box(mesh))
-        found, expected = tracer.closest(*rays), brute.closest(*rays)
-        same = (found.prim_id == expected.prim_id) & (found.t.view(np.uint32) == expected.t.view(np.uint32))
-        yield f"hierarchy, {name}", len(same), int((~same).sum())
-        t_max = (found.t * rng.choice([0.5, 1, 1.5], len(same))).astype(np.float32)
+        brute = make_tracer(device, *mesh, bvh=worlds.one_box(mesh))
+        expected = brute.closest(*rays)
+        t_max = (expected.t * rng.choice([0.5, 1, 1.5], len(expected.t))).astype(np.float32)
         limited = brute.closest(*rays, 0.0, t_max).prim_id != NO_HIT
-        yield f"any hit, {name}", len(same), int((tracer.any(*rays, 0.0, t_max) != limited).sum())
+        grid = make_tracer(device, *mesh, grid=GridRequest(device.global_memory_bytes))
+        for structure, tracer in (("hierarchy", make_tracer(device, *mesh)), ("grid", grid)):
+            found = tracer.closest(*rays)
+            same = (found.prim_id == expected.prim_id) & (found.t.view(np.uint32) == expected.t.view(np.uint32))
+            yield f"{structure}, {name}", len(same), int((~same).sum())
+            yield f"{structure}, any hit, {name}", len(same), int((tracer.any(*rays, 0.0, t_max) != limited).sum())
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -159,7 +164,7 @@ def main(arguments: list[str] | None = None) -> int:
             count_rough_leaks(device, given.rays),
             count_left(device, given.shapes),
             count_exact(device, given.exact),
-            count_hierarchy(device, given.rays // 20),
+            count_structures(device, given.rays // 20),
         ):
             for name, tried, wrong in counts:
                 print(f"{name:44} {tried:9} tried {wrong:7} wrong", flush=True)

@@ -143,7 +143,8 @@ Accelerator = Annotated[
     Texts,
     _option(
         "--accelerator", metavar="NAME",
-        text="auto [default], or bvh; grid: with --method auto raycast-grid. Secondary rays go through the BVH.",
+        text="What secondary rays walk through, bvh or grid; auto [default] is bvh, with which they took half the time "
+        "or less. In mode cast the camera's rays: with --method auto, grid is raycast-grid.",
         panel=METHOD,
     ),
 ]  # fmt: skip

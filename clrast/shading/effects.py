@@ -32,6 +32,9 @@ EFFECT_NAMES = (
 SECONDARY_EFFECTS = ("shadow", "reflection", "refraction", "indirect light")
 """Effects that trace rays from hits."""
 
+ACCELERATORS = {"bvh": "BVH", "grid": "uniform grid"}
+"""What secondary rays walk through, by the names of --accelerator."""
+
 _NO_SECONDARY = "mode cast traces no secondary rays"
 
 Wanted = dict[str, tuple[bool, str]]
@@ -95,11 +98,16 @@ def is_specular(material: Material) -> bool:
 
 
 def plan_effects(
-    scene: Scene, aov: Iterable[str], asked: Mapping[str, str] | None = None, mode: str = "cast"
+    scene: Scene,
+    aov: Iterable[str],
+    asked: Mapping[str, str] | None = None,
+    mode: str = "cast",
+    accelerator: str = "bvh",
 ) -> EffectPlan:
     """The plan of `scene` in a mode for the output groups `aov`.
 
     asked : effect name -> "on", "off", "auto" or COARSE; all but "auto" overrule what the scene calls for.
+    accelerator : of ACCELERATORS, what secondary rays would walk through.
     """
     groups, materials = set(aov), used_materials(scene)
     wanted: Wanted = {}
@@ -122,7 +130,7 @@ def plan_effects(
         for name in SECONDARY_EFFECTS:
             wanted[name] = (False, "no colour is asked for")
     tracing = [name for name in SECONDARY_EFFECTS if wanted[name][0]]
-    reason = f"for {' and '.join(tracing)}" if tracing else "no secondary ray is traced"
+    reason = f"{ACCELERATORS[accelerator]}, for {' and '.join(tracing)}" if tracing else "no secondary ray is traced"
     wanted["secondary acceleration structure"] = (bool(tracing), reason)
     return EffectPlan(tuple(Effect(name, *wanted[name]) for name in EFFECT_NAMES))
 

@@ -28,8 +28,8 @@ from clrast.shading.sample_lists import FlagList, Room
 from clrast.shading.surfaces import MASK_ARGUMENTS, SurfaceBuffers
 from clrast.shading.watch import Watch
 from clrast.visibility.bvh import Bvh
-from clrast.visibility.geometry import build_geometry
-from clrast.visibility.rays import RayTracer, ray_features
+from clrast.visibility.ray_grid import GridRequest
+from clrast.visibility.rays import build_tracer
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -93,7 +93,7 @@ class Integrator:
         plan: EffectPlan,
         scene: Scene,
         surfaces: SurfaceBuffers,
-        bvh: Bvh,
+        structure: Bvh | GridRequest,
         depths: Depths,
         accumulation: Accumulation | None = None,
     ) -> None:
@@ -103,10 +103,11 @@ class Integrator:
         self.shows_shadows = plan["shadow"]
         masked = {"alpha_mask": features.alpha_mask, "alpha_blend": features.alpha_blend}
         looked_up = {"textures": features.textures, "vertex_colors": features.vertex_colors}
-        tracing = ray_features(device, bvh, **masked, **(looked_up if any(masked.values()) else {}))
-        geometry = build_geometry(device, tracing, scene.positions, scene.triangles, 1.0, bvh)
-        masks = surfaces.named(*MASK_ARGUMENTS) if any(masked.values()) else None
-        self.tracer = RayTracer(device, tracing, geometry, masks)
+        masks, reads = None, masked
+        if any(masked.values()):
+            masks, reads = surfaces.named(*MASK_ARGUMENTS), {**masked, **looked_up}
+        self.tracer = build_tracer(device, scene.positions, scene.triangles, structure, masks, **reads)
+        geometry = self.tracer.geometry
         self.nbytes = geometry.nbytes + self.tracer.nbytes
         self._mesh = {"positions": geometry.world_positions, "indices": geometry.indices, **surfaces.named("normals")}
         self._surfaces = surfaces.named(*SURFACES)

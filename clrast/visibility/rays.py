@@ -6,30 +6,25 @@ those of real arithmetic, whatever the hierarchy, the vector width and the runti
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clrast.errors import CapacityError, DeviceError, SceneError, UsageError
+from clrast.errors import DeviceError, SceneError, UsageError
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features, Precision, Projection
-from clrast.opencl.layout import (
-    BLOCK_LANES,
-    BLOCK_WORDS,
-    LEAF_BIT,
-    LEAF_SLOT,
-    LEAF_SLOT_LOG2,
-    MAX_LEAF_COUNT,
-    NO_HIT,
-)
+from clrast.opencl.layout import BLOCK_LANES, BLOCK_WORDS, NO_HIT
 from clrast.opencl.runtimes import PREFETCHING
 from clrast.visibility.bvh import Bvh, build_bvh
 from clrast.visibility.frusta import stack_capacity
 from clrast.visibility.geometry import Geometry, build_geometry
+from clrast.visibility.leaf_blocks import BLOCK_BYTES, leaf_blocks
 from clrast.visibility.loop_limits import loop_limit
+from clrast.visibility.ray_grid import GridRequest, RayGrid, build_ray_grid
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -70,8 +65,10 @@ class RayBuffers:
     arguments: dict[str, cl.Buffer]
 
 
-def ray_features(device: Device, bvh: Bvh, **masks: Any) -> Features:
-    """The build options of a tracer over that hierarchy; `Geometry` must be made with them, at world_scale 1.
+def ray_features(device: Device, bvh: Bvh | None, **masks: Any) -> Features:
+    """The build options of a tracer over that hierarchy, or without one over a grid.
+
+    `Geometry` must be made with them, at world_scale 1.
 
     masks : what is looked up at hits, of alpha_mask, alpha_blend, textures and vertex_colors.
     """
@@ -80,18 +77,25 @@ def ray_features(device: Device, bvh: Bvh, **masks: Any) -> Features:
         precision=Precision.EXACT,
         projection=Projection.PERSPECTIVE,
         float64=device.has_fp64,
-        leaf_order=True,
+        leaf_order=bvh is not None,
         prefetch=device.runtime in PREFETCHING,
-        stack_capacity=max(MIN_STACK, stack_capacity(bvh.depth, 0)),
+        stack_capacity=1 if bvh is None else max(MIN_STACK, stack_capacity(bvh.depth, 0)),
         **masks,
     )
 
 
-def make_tracer(device: Device, positions: np.ndarray, triangles: np.ndarray, bvh: Bvh | None = None) -> RayTracer:
+def make_tracer(
+    device: Device,
+    positions: np.ndarray,
+    triangles: np.ndarray,
+    bvh: Bvh | None = None,
+    grid: GridRequest | None = None,
+) -> RayTracer:
     """A tracer with geometry of its own.
 
     positions : (vertex_count, 3) float32, world space. triangles : (triangle_count, 3) uint32. bvh : over the same
-    triangles, built where it is missing. Raises SceneError, CapacityError or DeviceError.
+    triangles, built where it is missing; or grid : one to build in its place. Raises SceneError, CapacityError or
+    DeviceError.
     """
     check_loops(device)
     if len(triangles) == 0:
@@ -99,9 +103,32 @@ def make_tracer(device: Device, positions: np.ndarray, triangles: np.ndarray, bv
     used = positions[np.unique(triangles)]
     if not (np.abs(used) <= MAX_COORDINATE).all():
         raise SceneError(f"a vertex lies farther than {MAX_COORDINATE:.0e} from 0, too far for rays: scale the scene")
-    bvh = bvh or build_bvh(positions, triangles)
-    features = ray_features(device, bvh)
-    return RayTracer(device, features, build_geometry(device, features, positions, triangles, 1.0, bvh))
+    return build_tracer(device, positions, triangles, grid or bvh or build_bvh(positions, triangles))
+
+
+def build_tracer(
+    device: Device,
+    positions: np.ndarray,
+    triangles: np.ndarray,
+    structure: Bvh | GridRequest,
+    masks: Mapping[str, cl.Buffer] | None = None,
+    **looked_up: bool,
+) -> RayTracer:
+    """A tracer through a hierarchy over the same triangles, or a grid that is built here.
+
+    masks : as of RayTracer. looked_up : features of these, as of ray_features. Raises CapacityError or DeviceError.
+    """
+    bvh = structure if isinstance(structure, Bvh) else None
+    features = ray_features(device, bvh, **looked_up)
+    geometry = build_geometry(device, features, positions, triangles, 1.0, bvh)
+    started = time.perf_counter()
+    grid = None
+    if isinstance(structure, GridRequest):
+        grid = build_ray_grid(device, features, geometry, positions, triangles, structure)
+    grid_ms = 1000 * (time.perf_counter() - started)
+    tracer = RayTracer(device, features, geometry, masks, grid)
+    tracer.grid_ms = grid_ms
+    return tracer
 
 
 def check_loops(device: Device) -> None:
@@ -113,43 +140,64 @@ def check_loops(device: Device) -> None:
 class RayTracer:
     """Rays against one scene; every method waits, but those that enqueue.
 
-    features : of `ray_features`. geometry : built with these, at world_scale 1, with its hierarchy. masks : with
-    features.alpha_mask or alpha_blend what surfaces are looked up in, by the arguments of trace_rays.cl; rays then
-    pass where a surface is masked, and `any` also where it blends and is thin. `launches` : kernels launched.
-    `nbytes` : of the hierarchy and its leaves on the device.
+    features : of `ray_features`. geometry : built with these, at world_scale 1, with its hierarchy; or without, and
+    grid : over it. masks : with features.alpha_mask or alpha_blend what surfaces are looked up in, by the arguments of
+    trace_rays.cl; rays then pass where a surface is masked, and `any` also where it blends and is thin.
+    `accelerator` : bvh or grid. `launches` : kernels launched. `nbytes` : of the structure and its leaves on the
+    device. `grid_ms` : what building the grid took, where build_tracer did.
     Raises DeviceError on drivers that limit loops.
     """
 
     def __init__(
-        self, device: Device, features: Features, geometry: Geometry, masks: Mapping[str, cl.Buffer] | None = None
+        self,
+        device: Device,
+        features: Features,
+        geometry: Geometry,
+        masks: Mapping[str, cl.Buffer] | None = None,
+        grid: RayGrid | None = None,
     ) -> None:
         check_loops(device)
-        bvh = geometry.bvh
-        if bvh is None or geometry.prims is None or geometry.world_positions is None:
-            raise UsageError("rays need a geometry with a BVH, in the order of its leaves, of precision 'exact'")
+        if geometry.world_positions is None or (geometry.prims is None) == (grid is None):
+            raise UsageError("rays need a geometry of precision 'exact', in the order of a BVH's leaves or with a grid")
         self.device, self.features, self.geometry = device, features, geometry
         self.launches = 0
+        self.grid_ms = 0.0
         self._program = kernels.build(device, "trace_rays.cl", features)
         self._masks = dict(masks or {})
-        children, slots, counts = _leaf_blocks(bvh)
-        self._scene = {
-            "blocks": buffers.create(device, 4 * BLOCK_WORDS * BLOCK_LANES * len(slots)),
-            "block_slots": buffers.upload(device, slots),
+        if grid is None:
+            self.accelerator = "bvh"
+            structure, places, counts = self._hierarchy_arguments()
+        else:
+            self.accelerator = "grid"
+            structure, places, counts = grid.arguments(), grid.block_places, grid.block_counts
+            self.nbytes = grid.nbytes
+        self.nbytes += BLOCK_BYTES * len(places)
+        leaves = {
+            "blocks": buffers.create(device, 4 * BLOCK_WORDS * BLOCK_LANES * len(places)),
+            "block_places": buffers.upload(device, places),
             "corners": geometry.corners,
-            "prims": geometry.prims,
-            "children": buffers.upload(device, children),
-            "node_boxes": buffers.upload(device, bvh.boxes),
+            "prims": structure.pop("prims"),
         }
-        self.nbytes = (4 * BLOCK_WORDS * BLOCK_LANES + 4) * len(slots) + children.nbytes + bvh.boxes.nbytes
+        self._scene = {**leaves, **structure}
         self._program.launch(
             "pack_leaves",
-            -(-len(slots) // WORK_GROUP) * WORK_GROUP,
+            -(-len(places) // WORK_GROUP) * WORK_GROUP,
             WORK_GROUP,
-            block_count=len(slots),
+            block_count=len(places),
             block_counts=buffers.upload(device, counts),
-            **{name: self._scene[name] for name in ("corners", "block_slots", "blocks")},
+            **leaves,
         )
         self._vertices = {"positions": geometry.world_positions, "indices": geometry.indices}
+
+    def _hierarchy_arguments(self) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+        """Arguments that are a BVH's, and its blocks' places and counts."""
+        bvh = self.geometry.bvh
+        assert bvh is not None
+        children, places, counts = leaf_blocks(bvh)
+        self.nbytes = children.nbytes + bvh.boxes.nbytes
+        nodes = {"children": children, "node_boxes": bvh.boxes}
+        made = {name: buffers.upload(self.device, each) for name, each in nodes.items()}
+        return {"prims": self.geometry.prims, **made}, places, counts
 
     def closest(
         self,
@@ -277,26 +325,6 @@ class RayTracer:
             items = -(-count // WORK_GROUP) * WORK_GROUP
             self._program.launch(kernel, items, WORK_GROUP, ray_count=count, **arguments)
             self.launches += 1
-
-
-def _leaf_blocks(bvh: Bvh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Children as trace_rays.cl takes them, leaves with the number of their triangles and their first block; and of all
-    blocks the first slots and the numbers of triangles: uint32 arrays. Raises CapacityError."""
-    is_leaf = bvh.counts > 0
-    counts = bvh.counts[is_leaf].astype(np.int64)
-    first_slots = (bvh.children[is_leaf] & ~np.uint32(LEAF_BIT)).astype(np.int64)
-    of_leaf = -(-counts // BLOCK_LANES)
-    firsts = np.cumsum(of_leaf) - of_leaf
-    total, most = int(of_leaf.sum()), int(counts.max(initial=0))
-    if most > MAX_LEAF_COUNT or total > LEAF_SLOT + 1:
-        allowed = f"{LEAF_SLOT + 1} blocks of leaves, {MAX_LEAF_COUNT} triangles of a leaf"
-        raise CapacityError(f"rays take at most {allowed}, here are {total} and {most}: take a smaller scene")
-    children = bvh.children.copy()
-    children[is_leaf] = LEAF_BIT | (counts - 1) << LEAF_SLOT_LOG2 | firsts
-    place = np.arange(total) - np.repeat(firsts, of_leaf)
-    slots = np.repeat(first_slots, of_leaf) + BLOCK_LANES * place
-    inside = np.minimum(np.repeat(counts, of_leaf) - BLOCK_LANES * place, BLOCK_LANES)
-    return children, slots.astype(np.uint32), inside.astype(np.uint32)
 
 
 def _vectors(name: str, values: Any, count: int) -> np.ndarray:
