@@ -418,7 +418,8 @@ class RenderOptions:
             raise UsageError(f"--accelerator grid needs planar views, and {projection} is none: leave it out")
         if self.evaluation != "direct" and projection not in SUMMED_PROJECTIONS:
             raise UsageError(
-                f"--evaluation {self.evaluation} sums up polynomials, and {projection} has sines and cosines: use direct"
+                f"--evaluation {self.evaluation} sums up polynomials, and {projection} has sines and cosines: "
+                "use direct"
             )
 
     def _check_accelerator(self) -> None:

@@ -115,8 +115,8 @@ def _may_meet(edges: np.ndarray, d: np.ndarray) -> np.ndarray:
         return np.zeros(edges.shape[1], dtype=bool)
     middle = d.mean(axis=0)
     apart = max(np.linalg.norm(d - middle, axis=1).max() * (1 + 1e-9), 1e-30)
-    highest = (edges[..., 0] * middle[0] + edges[..., 1] * middle[1]) + edges[..., 2] * middle[2] + edges[..., 3] * apart
-    return (highest >= -edges[..., 4] * (np.linalg.norm(middle) + apart)).all(axis=0)
+    at_middle = edges[..., 0] * middle[0] + edges[..., 1] * middle[1] + edges[..., 2] * middle[2]
+    return (at_middle + edges[..., 3] * apart >= -edges[..., 4] * (np.linalg.norm(middle) + apart)).all(axis=0)
 
 
 def planes_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -37,7 +37,7 @@ def summed_values(
     view: CameraVectors, n: np.ndarray, columns: np.ndarray, rows: np.ndarray,
     number: Number = np.float32, cell: int = INCREMENT_CELL,
 ) -> np.ndarray:  # fmt: skip
-    """V of normals n (..., 3) float32 at the centres of pixels, columns and rows (...) integers: arrays that go together.
+    """V of normals n (..., 3) float32 at the centres of pixels; columns, rows (...) integers: arrays that go together.
 
     number : makes numbers of arrays; all that follows is done with such. cell : samples a side of a square.
     """

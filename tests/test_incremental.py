@@ -225,6 +225,6 @@ def test_what_is_no_polynomial_refuses() -> None:
         if projection == "paraboloid":
             options.check_projection(projection)
             continue
-        with pytest.raises(UsageError, match=f"sums up polynomials, and {projection} has sines and cosines: use direct"):
+        with pytest.raises(UsageError, match=f"polynomials, and {projection} has sines and cosines: use direct"):
             options.check_projection(projection)
     options.check_projection("cube")  # its faces are planar

@@ -2,7 +2,7 @@
 """Renders scenes under projections that are no single plane and holds `id.prim` against exact arithmetic; exit 1 where
 a bar is broken.
 
-    python tools/check_projections.py                             every scene of ../shared/scenes and a ball, from inside
+    python tools/check_projections.py                             scenes of ../shared/scenes and a ball, from inside
     python tools/check_projections.py a.ply --views inside,outside --precision midpoint,exact --size 512
     python tools/check_projections.py --projections paraboloid:incremental --json report.json
 
@@ -40,7 +40,7 @@ import numpy as np  # noqa: E402
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tools"), str(ROOT / "tests")]
 
-from check_visibility import NEIGHBOUR_BAR, SCENES, part_of, standard_views, vector  # noqa: E402
+from check_visibility import NEIGHBOUR_BAR, SCENES, part_of, standard_views  # noqa: E402
 from curved_reference import exact_image_by_blocks, rays_of  # noqa: E402
 from curved_world import ball  # noqa: E402
 
@@ -107,7 +107,7 @@ def views_of(scene: Scene, options: argparse.Namespace) -> Iterator[View]:
         for text in options.projections.split(","):
             projection, _, evaluation = text.partition(":")
             size = {"latlong": (side, side // 2), "cube": (side // 2, 3 * side)}.get(projection, (side, side))
-            camera = Camera(name, projection, standard.eye, standard.look_at, standard.up, fov=270.0)  # type: ignore[arg-type]
+            camera = Camera(name, projection, standard.eye, standard.look_at, standard.up, fov=270.0)  # type: ignore
             yield View(camera, evaluation or "direct", options.method, size)
 
 
@@ -140,7 +140,7 @@ class Judge:
 
     def __init__(self, scene: Scene, eye: np.ndarray) -> None:
         any_view = {"e": eye.tolist(), "d0": [0.0, 0.0, -1.0], "dx": [1.0, 0.0, 0.0], "dy": [0.0, 1.0, 0.0]}
-        self.classifier = Classifier(scene.positions, scene.triangles, any_view)  # which side is seen: the eye alone says
+        self.classifier = Classifier(scene.positions, scene.triangles, any_view)  # sides are seen from the eye alone
         self.topology = self.classifier.topology
         self.colours = self.topology.colours()
         self.corners = scene.positions.astype(np.float64)[scene.triangles.astype(np.int64)] - eye
@@ -224,8 +224,20 @@ def show(result: Result) -> str:
     if result.doubles and result.doubles.get("vertex"):
         twice += f" ({result.doubles['vertex']} at vertices)"
     state = "BROKEN" if result.broken else "ok"
-    return f"{result.scene:<13}{result.view:<29}{result.precision:<9}{result.samples:>9,}{result.hits:>9,}  {state:<7}" \
-        f"wrong {total}{share}; double hits {twice}"  # fmt: skip
+    head = f"{result.scene:<13}{result.view:<29}{result.precision:<9}{result.samples:>9,}{result.hits:>9,}"
+    return f"{head}  {state:<7}wrong {total}{share}; double hits {twice}"
+
+
+def summary(precision: str, results: Sequence[Result]) -> str:
+    """All views of a rung in a line."""
+    total: Counter[str] = Counter()
+    for r in results:
+        total.update(r.wrong)
+    worst = max((sum(r.wrong.values()) for r in results), default=0)
+    kinds = ", ".join(f"{n} {kind}" for kind, n in total.items()) or "none"
+    doubles = sum((r.doubles or {}).get("edge", 0) for r in results)
+    return f"{precision}: {len(results)} views, {sum(r.samples for r in results):,} samples, {total.total()} wrong, " \
+        f"at most {worst} in a view ({kinds}), {doubles} double hits along edges"  # fmt: skip
 
 
 def scenes_of(paths: Sequence[Path]) -> Iterator[tuple[str, Scene]]:
@@ -272,14 +284,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(show(results[-1]), flush=True)
             print(f"{name} {view.name}: {time.perf_counter() - started:.0f} s", file=sys.stderr, flush=True)
     for precision in options.precision.split(","):
-        own = [r for r in results if r.precision == precision]
-        total, samples = Counter[str](), sum(r.samples for r in own)
-        for r in own:
-            total.update(r.wrong)
-        worst = max((sum(r.wrong.values()) for r in own), default=0)
-        doubles = sum((r.doubles or {}).get("edge", 0) for r in own)
-        print(f"{precision}: {len(own)} views, {samples:,} samples, {total.total()} wrong, at most {worst} in a view "
-              f"({', '.join(f'{n} {kind}' for kind, n in total.items()) or 'none'}), {doubles} double hits along edges")  # fmt: skip
+        print(summary(precision, [r for r in results if r.precision == precision]))
     if options.json:
         options.json.write_text(json.dumps([asdict(r) for r in results], indent=1) + "\n", encoding="utf-8")
     return 66 if not results else int(any(r.broken for r in results))

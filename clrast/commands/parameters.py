@@ -93,7 +93,8 @@ Evaluation = Annotated[
     Texts,
     _option(
         "--evaluation", metavar="WAY",
-        text="Edge functions: direct [default], or incremental, by sums from sample to sample.", panel=ACCURACY,
+        text="Edge functions: direct [default], or incremental, by sums from sample to sample (not latlong, fisheye).",
+        panel=ACCURACY,
     ),
 ]  # fmt: skip
 Samples = Annotated[
