@@ -85,7 +85,7 @@ MIRROR = Material("mirror", (1.0, 1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
 
 
 def make_scene(*mirrors: tuple[np.ndarray, np.ndarray, np.ndarray | None]) -> Scene:
-    """The floor, unlit, squares of its checker a unit wide; and meshes that mirror it: positions, triangles, normals."""
+    """The floor, unlit, squares of its checker a unit wide; and meshes that mirror: positions, triangles, normals."""
     squares = np.kron([[0, 1], [1, 0]], np.ones((32, 32)))
     texels = np.dstack([*[(40 + 200 * squares).astype(np.uint8)] * 3, np.full((64, 64), 255, np.uint8)])
     paint = TextureUse(0, transform=(60.0, 0.0, 0.0, 0.0, 60.0, 0.0), mipmap=True)
