@@ -255,27 +255,27 @@ def test_unlit_surfaces_are_no_lamps(first_device: Device) -> None:
 
 
 BLACK = replace(CHALK, base_color=(0.0, 0.0, 0.0, 1.0), ior=1.0)
+COVER = square((-3, -3, 1.2), (6, 0, 0), (0, 6, 0), BLACK)
+FLAT_LAMP = square((-0.75, -0.5, 1.2), (0, 1, 0), (1.25, 0, 0), LAMP)
 
 
 @pytest.mark.parametrize("gap", [1e-4, 2.0**-23])
 def test_a_cover_just_before_a_lamp_hides_it(first_device: Device, gap: float) -> None:
     """By a ten thousandth of the way, and by one float32: light ends on the lamp itself, not somewhere before it."""
-    cover, lamp = square((-3, -3, 1.2), (6, 0, 0), (0, 6, 0), BLACK), square((-0.75, -0.5, 1.2), (0, 1, 0), (1.25, 0, 0), LAMP)
-    behind = lamp.moved(1, (0, 0, gap))
+    behind = FLAT_LAMP.moved(1, (0, 0, gap))
     assert np.float32(behind.positions[0, 2]) > np.float32(1.2)
-    found = paths(first_device, assemble(floor(20, CHALK), behind, cover), max_depth=0, samples=4)
+    found = paths(first_device, assemble(floor(20, CHALK), behind, COVER), max_depth=0, samples=4)
     assert not found.any()
 
 
 @pytest.mark.parametrize("lamp_first", [True, False])
 def test_of_a_lamp_and_a_cover_in_one_plane_the_first_is_seen(first_device: Device, lamp_first: bool) -> None:
     """By light that is drawn as by rays: the smaller prim_id, wholly."""
-    lamp, cover = square((-0.75, -0.5, 1.2), (0, 1, 0), (1.25, 0, 0), LAMP), square((-3, -3, 1.2), (6, 0, 0), (0, 6, 0), BLACK)
     for depth in (0, 1):
-        parts = (lamp, cover) if lamp_first else (cover, lamp)
+        parts = (FLAT_LAMP, COVER) if lamp_first else (COVER, FLAT_LAMP)
         found = paths(first_device, assemble(*parts, floor(20, CHALK)), max_depth=depth)
         if lamp_first:
-            check_floor(found, light_on_floor(CHALK, (lamp,)))
+            check_floor(found, light_on_floor(CHALK, (FLAT_LAMP,)))
         else:
             assert found.max() < 1e-9, "what Schlick's term leaves of light along the cover"
 

@@ -76,8 +76,8 @@ def ray_features(device: Device, bvh: Bvh | None, **masks: Any) -> Features:
 
     `Geometry` must be made with them, at world_scale 1.
 
-    masks : what is looked up at hits, of alpha_mask, alpha_blend, textures and vertex_colors; with indirect whether rays
-    pass a blending surface is drawn.
+    masks : what is looked up at hits, of alpha_mask, alpha_blend, textures and vertex_colors; with indirect it is drawn
+    whether rays pass a blending surface.
     """
     return Features(
         device.vector_width,
