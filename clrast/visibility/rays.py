@@ -296,7 +296,7 @@ class RayTracer:
         return {name: buffers.create(self.device, size * count) for name, size in sizes.items()}
 
     def slots_of(self, prim_ids: np.ndarray) -> np.ndarray:
-        """(n,) uint32, where the corners of triangles lie: in the order of a hierarchy's leaves, or in that of the file."""
+        """(n,) uint32, where triangles' corners lie: in the order of a hierarchy's leaves, or in that of the file."""
         if self.geometry.bvh is None:
             return prim_ids.astype(np.uint32)
         slots = np.zeros(self.geometry.triangle_count, dtype=np.uint32)
