@@ -3,7 +3,7 @@
 // Purcell et al., section 3 and Fig. 3 (shadow caster, Whitted, path tracer). For each light in its order, or in paths for
 // one light that is drawn:
 //   aim_at_light: a ray from each live item towards the light, with the light that it would bring
-//   trace_rays.cl: which rays meet something on the way
+//   leave_hits.cl, trace_rays.cl: where each begins; which rays meet something on the way
 //   add_light: the light of the others
 // In paths a light is drawn by its power: punctual lights, and emissive triangles, on which a point is drawn; what they
 // bring is weighted against finding them by chance (Veach and Guibas 1995, power heuristic).
@@ -114,17 +114,17 @@ static inline float emitting_share(Surfaces surfaces, Material material, Surface
 }
 
 // Light from a point that is drawn on an emissive triangle. is_last: no ray goes on that could find it by chance.
-// *way: to the point.
-static float4 light_of_emitter(const Place *place, const Mesh *mesh, Surfaces surfaces, uint prim_id, float2 u, float inverse_power, bool is_last, float4 *way) {
+// *end: the point, w 1.
+static float4 light_of_emitter(const Place *place, const Mesh *mesh, Surfaces surfaces, uint prim_id, float2 u, float inverse_power, bool is_last, float4 *end) {
   global const uint *vertices = mesh->indices + 3 * (size_t)prim_id;
   const float root = sqrt(u.x), b0 = 1.0f - root, b1 = u.y * root;
   const SurfacePoint at = {prim_id, vertices[0], vertices[1], vertices[2], b0, b1, max((1.0f - b0) - b1, 0.0f)};
   const float4 point = (mesh->positions[at.i0] * at.b0 + mesh->positions[at.i1] * at.b1) + mesh->positions[at.i2] * at.b2;
-  *way = point - place->position;
-  const float4 l = unit(*way);
+  const float4 way = point - place->position, l = unit(way);
+  *end = (float4)(point.xyz, 1.0f);
   if (!(dot_f4(place->g, l) > 0.0f)) return (float4)(0.0f);
   const Material material = surfaces.materials[surfaces.material_ids[prim_id]];
-  const float density = density_of_emitter(mesh, material, at, l, dot_f4(*way, *way), inverse_power);
+  const float density = density_of_emitter(mesh, material, at, l, dot_f4(way, way), inverse_power);
   if (!(density > 0.0f)) return (float4)(0.0f);
   const float found = is_last ? 1.0f : power_weight(density, density_of(place, l));
   const float share = found * emitting_share(surfaces, material, at) / density;
@@ -142,7 +142,8 @@ static inline uint draw_light(global const float *sums, uint count, float u) {
 }
 #endif
 
-// Reads: items (shade_hits, arrive). Writes: slot_directions, slot_radiances, slot_kinds (for leave_hits, add_light).
+// Reads: items (shade_hits, arrive). Writes: slot_ends, slot_lamps, slot_kinds (for leave_for_light),
+// slot_radiances (for add_light).
 // Work item: one item. Local memory: 0 bytes.
 kernel void aim_at_light(
     uint item_count,
@@ -177,8 +178,10 @@ kernel void aim_at_light(
     global const float *restrict srgb_to_linear,   // [256]
     global const Light *restrict lights,           // [light_count]
     global const uint *restrict emitters,          // [emitter_count] prim_id of emissive triangles
+    global const uint *restrict emitter_slots,     // [emitter_count] theirs in the hierarchy's leaves
     global const float *restrict power_sums,       // [light_count + emitter_count + 1] running shares of power
-    global float4 *restrict slot_directions,       // [item_count] xyz; w t_max
+    global float4 *restrict slot_ends,             // [item_count] w 1: the point that light comes from; 0: its direction
+    global uint *restrict slot_lamps,              // [item_count] slot of the emissive triangle that it is on, or NO_HIT
     global float4 *restrict slot_radiances,        // [item_count] RGB that arrives in the pixel, if nothing is in the way
     global uchar *restrict slot_kinds)             // [item_count] 1: a ray, 0: none
 {
@@ -195,8 +198,8 @@ kernel void aim_at_light(
   slot_kinds[item] = 0;
   if (!load_place(&items, &mesh, surfaces, item, &place) || place.is_unlit) return;
   float share = 1.0f;
-  float4 radiance = (float4)(0.0f), way = (float4)(0.0f);
-  float t_max = INFINITY;
+  float4 radiance = (float4)(0.0f), end = (float4)(0.0f);
+  uint lamp = NO_HIT;
 #if INDIRECT
   const uint dimension = depth * PAIRS_OF_HIT;
   const uint key = hash_pair(item_keys[item], seed);
@@ -204,27 +207,26 @@ kernel void aim_at_light(
   light = draw_light(power_sums, light_count + emitter_count, picked);
   share = 1.0f / (power_sums[light + 1] - power_sums[light]);
   if (light >= light_count) {
-    radiance = light_of_emitter(&place, &mesh, surfaces, emitters[light - light_count], draw_pair(key, path, dimension + 1), inverse_power, is_last != 0, &way);
+    const uint emitter = light - light_count;
+    radiance = light_of_emitter(&place, &mesh, surfaces, emitters[emitter], draw_pair(key, path, dimension + 1), inverse_power, is_last != 0, &end);
     share = 1.0f;
-    t_max = BEFORE_EMITTER;
+    lamp = emitter_slots[emitter];
   }
 #endif
   if (light < light_count) {
     float4 to_light;
     const Light source = lights[light];
     const float4 arriving = incoming(source, place.position, &to_light);
-    way = to_light;
-    if (source.kind != LIGHT_DIRECTIONAL) {
-      way = source.position - place.position;
-      t_max = 1.0f;
-    }
+    end = source.kind == LIGHT_DIRECTIONAL ? to_light : (float4)(source.position.xyz, 1.0f);
     if (dot_f4(place.g, to_light) > 0.0f)
       radiance = arriving * reflected(place.material, place.base, place.n, place.to_viewer, to_light, !place.is_smooth);
   }
   radiance *= place.throughput * (share * place.alpha * opaque_share(&place));
+  const float4 way = end.w > 0.0f ? end - place.position : end;
   const float size = max(fabs(way.x), max(fabs(way.y), fabs(way.z)));
   if (!(largest_of(radiance) > 0.0f) || !(size >= LEAST_WAY) || !(size <= LARGEST_WAY)) return;
-  slot_directions[item] = (float4)(way.xyz, t_max);
+  slot_ends[item] = end;
+  slot_lamps[item] = lamp;
   slot_radiances[item] = radiance;
   slot_kinds[item] = 1;
 }

@@ -3,7 +3,7 @@
 // Purcell et al., section 3: the shading kernel emits rays with the weight that their light has in the pixel, and
 // streams of them go back to the traversal. For one generation:
 //   scatter_rays: up to `slot_count` rays from each live item
-//   list_samples.cl, trace_rays.cl: those that are there, in order; where each begins; what it hits
+//   list_samples.cl, leave_hits.cl, trace_rays.cl: those that are there, in order; where each begins; what it hits
 //   arrive: the next generation's items; where textures are filtered with what a pixel covers of them
 // Then add_to_samples sums what the items brought. The order of all sums is that of the items: no bit depends on
 // threads. Paths (INDIRECT) draw one ray at a hit, in proportion to what it brings where that is known, and end by
@@ -42,11 +42,6 @@ static Scattered refracted(const Place *place, const Interface *at, float4 share
   return ray;
 }
 
-static Scattered passing(const Place *place, float share) {
-  const Scattered ray = {place->direction, place->throughput * share, 0.0f, RAY_REFRACTED};
-  return ray;
-}
-
 #if INDIRECT
 static Scattered nowhere(void) {
   const Scattered ray = {(float4)(0.0f), (float4)(0.0f), 0.0f, 0};
@@ -77,22 +72,20 @@ static Scattered draw_rough(const Place *place, float2 u, float choice) {
   return ray;
 }
 
-// One ray, drawn. choices: what is drawn of the ways to go on; u: the direction.
-static Scattered draw_ray(const Place *place, float2 choices, float2 u) {
-  if (choices.x >= place->alpha) return passing(place, 1.0f);
+// One ray, drawn. choice: of the ways to go on; u: the direction.
+static Scattered draw_ray(const Place *place, float choice, float2 u) {
   if (place->is_unlit) return nowhere();
   const float glass = 1.0f - opaque_share(place);
   const float4 one = (float4)(1.0f);
-  if (place->is_glass && choices.y < glass) {
+  if (place->is_glass && choice < glass) {
     const Interface at = interface_of(place);
-    const float choice = choices.y / glass;
-    return choice < at.mirror.x ? mirrored(place, one) : refracted(place, &at, place->base);
+    return choice / glass < at.mirror.x ? mirrored(place, one) : refracted(place, &at, place->base);
   }
   if (place->is_glass) return draw_diffuse(place, u, one);
-  if (!place->is_smooth) return draw_rough(place, u, choices.y);
+  if (!place->is_smooth) return draw_rough(place, u, choice);
   const float mirror = mirror_probability(place);
   const float4 share = interface_of(place).mirror;
-  if (choices.y < mirror) return mirrored(place, share / mirror);
+  if (choice < mirror) return mirrored(place, share / mirror);
   return draw_diffuse(place, u, (one - share) * ((1.0f - place->material.metallic) / (1.0f - mirror)));
 }
 
@@ -101,6 +94,11 @@ static Scattered play_roulette(Scattered ray, float choice) {
   const float survival = min(largest_of(ray.throughput), 0.95f);
   if (choice >= survival) return nowhere();
   ray.throughput /= survival;
+  return ray;
+}
+#else
+static Scattered passing(const Place *place, float share) {
+  const Scattered ray = {place->direction, place->throughput * share, 0.0f, RAY_REFRACTED};
   return ray;
 }
 #endif
@@ -159,7 +157,7 @@ kernel void scatter_rays(
   uint count = 0;
 #if INDIRECT
   const uint key = hash_pair(item_keys[item], seed), dimension = depth * PAIRS_OF_HIT + 2;
-  rays[count++] = draw_ray(&place, draw_pair(key, path, dimension), draw_pair(key, path, dimension + 1));
+  rays[count++] = draw_ray(&place, draw_pair(key, path, dimension).y, draw_pair(key, path, dimension + 1));
   if (depth >= ROULETTE_DEPTH) rays[0] = play_roulette(rays[0], draw_pair(key, path, dimension + 2).x);
 #else
   const Interface at = interface_of(&place);

@@ -22,10 +22,15 @@
 #include "pixel_footprints.clh"
 #endif
 
+#define PLANE_ERROR 1.1368683772161603e-13f  // 2^-43: of pairs, see meet_plane
+
 // Where the ray through the sample (x, y) of the viewport meets the triangle's plane: t = N . (p_0 - e) / (N . d)
 // and e + t d, with e, d0, dx, dy as DESIGN defines them. In pairs of floats, since N . d cancels where a triangle is
 // seen at a grazing angle, and e + t d where the eye is far away. t, depth along the view axis and position come in world
 // units.
+// Where rays go on from the position, w is how far off the plane it may lie before it is rounded to float32. In units of
+// 2^-48: a sum of pairs is off by 3 of its terms, a product by 8; N by 11 of |e| x |f|; N . (p_0 - e) by 28, N . d by 31
+// of their terms; the quotient by 16 and t d by 8 more. 32 and 64, over |N|, hold all of it.
 static inline float4 meet_plane(
     View view, float4 p0, float4 p1, float4 p2, float x, float y, float4 direction, float *t, float *depth) {
   const float4 nothing = (float4)(0.0f);
@@ -54,7 +59,14 @@ static inline float4 meet_plane(
   const Pair at_x = pair_add(e.x, pair_multiply(parameter, d.x));
   const Pair at_y = pair_add(e.y, pair_multiply(parameter, d.y));
   const Pair at_z = pair_add(e.z, pair_multiply(parameter, d.z));
-  return (float4)(at_x.high, at_y.high, at_z.high, 0.0f) / view.world_scale;
+  float doubt = 0.0f;
+#if SECONDARY
+  const float4 from = fabs(high_parts(e)), to = fabs(high_parts(way)), along = fabs(high_parts(d) * parameter.high);
+  const float4 a = fabs(p1 - p0), b = fabs(p2 - p0);
+  const float4 terms = {a.y * b.z + a.z * b.y, a.z * b.x + a.x * b.z, a.x * b.y + a.y * b.x, 0.0f};
+  doubt = PLANE_ERROR * (dot_f4(terms, to + along * 2.0f) / largest_of(fabs(high_parts(normal))) + largest_of(from));
+#endif
+  return (float4)(at_x.high, at_y.high, at_z.high, doubt) / view.world_scale;
 }
 
 // Evaluates the visible triangle at the sample (x, y) of the viewport.

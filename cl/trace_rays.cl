@@ -1,10 +1,12 @@
-// Traces arrays of any rays through a scene: the closest hit, any hit, and where rays that leave a hit start.
+// Traces arrays of any rays through a scene: the closest hit, and any hit.
 //
 // One work item is one ray, which walks the scene's acceleration structure and tests the leaves that it comes to:
 //   a BVH (walk_hierarchy.clh) where triangles lie in the order of its leaves: LEAF_ORDER
 //   a uniform grid (walk_grid.clh) elsewhere
 // What is hit is decided by the leaves' test alone (leaf_hits.clh), so both give the same bits.
 // Any hit is closest hit that stops at the first.
+// A ray that looks for light may end at a point, where a punctual light is, or on a triangle that shines. Before a point
+// lies what parts it from where the ray starts; before a triangle what the ray meets first, in real arithmetic both.
 // Good at: incoherent rays on processors. Bad at: drivers that limit loops: rays.py refuses them.
 // Tests: tests/test_rays.py, tests/test_ray_grid.py.
 
@@ -52,6 +54,10 @@ kernel void trace_closest(
     global const float2 *restrict uv1,         // [vertex_count] or unused
     global const float4 *restrict colors,      // [vertex_count] linear, or unused
 #endif
+#if PANES_ARE_DRAWN
+    uint path,                                 // its number in the sample
+    global const uint *restrict ray_keys,      // [ray_count] of random numbers
+#endif
     global uint *restrict prims_hit,           // [ray_count] prim_id or NO_HIT
     global float2 *restrict distances,         // [ray_count] t (+inf: no hit), bound of its error
     global float4 *restrict weights)           // [ray_count] barycentrics b0 b1 b2 in the order of indices, w 0
@@ -70,7 +76,13 @@ kernel void trace_closest(
       grid, cells, farthest, longest
 #endif
   };
-  const Best best = trace(&a, make_ray(origins[item], directions[item], excluded[item]), false);
+  Ray ray = make_ray(origins[item], directions[item], excluded[item]);
+#if PANES_ARE_DRAWN
+  ray.key = ray_keys[item];
+  ray.path = path;
+#endif
+  Best best = nothing_hit();
+  trace(&a, ray, false, &best);
   prims_hit[item] = best.prim_id;
   if (best.prim_id == NO_HIT) {
     distances[item] = (float2)(INFINITY, 0.0f);
@@ -82,13 +94,16 @@ kernel void trace_closest(
   weights[item] = weigh_vertices_of(corners[3 * (size_t)best.slot], positions, vertices, best.edge);
 }
 
-// Reads: corners (prepare_triangles), the hierarchy or the grid's cells (host), blocks (pack_leaves). Writes: occluded (for
+// Reads: corners (prepare_triangles), the hierarchy or the grid's cells (host), blocks (pack_leaves), ends,
+// lamp_slots (leave_for_light). Writes: occluded (for
 // add_light and the host). Work item: one ray. Local memory: 0 bytes.
 kernel void trace_any(
     uint ray_count,
     global const float4 *restrict origins,     // [ray_count] xyz world space, w t_min, exclusive, not negative
     global const float4 *restrict directions,  // [ray_count] xyz, any length within 2^-60 .. 2^60, w t_max, exclusive
     global const uint *restrict excluded,      // [ray_count] prim_id that the ray does not meet, or NO_HIT
+    global const float4 *restrict ends,        // [ray_count] w 1: hits count before the point xyz, and t_max is 1; else 0
+    global const uint *restrict lamp_slots,    // [ray_count] hits count before this triangle, where it is met; or NO_HIT
     global const float *restrict blocks,       // [block_count * BLOCK_WORDS * BLOCK_LANES], see Leaves
     global const uint *restrict block_places,  // [block_count]
     global const float4 *restrict corners,     // [3 * triangle_count] by slot
@@ -114,6 +129,10 @@ kernel void trace_any(
     global const float2 *restrict uv1,         // [vertex_count] or unused
     global const float4 *restrict colors,      // [vertex_count] linear, or unused
 #endif
+#if PANES_ARE_DRAWN
+    uint path,                                 // its number in the sample
+    global const uint *restrict ray_keys,      // [ray_count] of random numbers
+#endif
     global uint *restrict occluded)            // [ray_count] 1: something is hit, else 0
 {
   const uint item = get_global_id(0);
@@ -130,7 +149,18 @@ kernel void trace_any(
       grid, cells, farthest, longest
 #endif
   };
-  occluded[item] = trace(&a, make_ray(origins[item], directions[item], excluded[item]), true).prim_id != NO_HIT;
+  Ray ray = make_ray(origins[item], directions[item], excluded[item]);
+#if PANES_ARE_DRAWN
+  ray.key = ray_keys[item];
+  ray.path = path;
+#endif
+  Best best = nothing_hit();
+  ray.end = ends[item];
+  if (lamp_slots[item] != NO_HIT && meet_slot(&a.leaves, ray, lamp_slots[item], &best)) {
+    ray.end.w = 0.0f;
+    ray.t_max = INFINITY;
+  }
+  occluded[item] = trace(&a, ray, true, &best);
 }
 
 // Reads: corners (prepare_triangles), prims, block_places, block_counts (host, or order_cell_triangles). Writes: blocks (for
@@ -155,50 +185,4 @@ kernel void pack_leaves(
       own[(3 * k + 2) * BLOCK_LANES + lane] = from[k].z;
     }
   }
-}
-
-// Reads: prims_hit, weights (trace_closest, or the host). Writes: origins (for trace_*). Work item: one hit.
-// Local memory: 0 bytes.
-kernel void offset_origins(
-    uint ray_count,
-    global const uint *restrict prims_left,    // [ray_count] prim_id that the ray leaves
-    global const float4 *restrict weights,     // [ray_count] b0 b1 b2 of the point
-    global const float4 *restrict directions,  // [ray_count] xyz of the ray that leaves
-    global const float4 *restrict positions,   // [vertex_count] world space
-    global const uint *restrict indices,       // [3 * triangle_count] vertices
-    global float4 *restrict origins)           // [ray_count] xyz; w 1, or 0 where the triangle has no side
-{
-  const uint item = get_global_id(0);
-  if (item >= ray_count) return;
-  global const uint *vertices = indices + 3 * (size_t)prims_left[item];
-  const Corners t = {{positions[vertices[0]], positions[vertices[1]], positions[vertices[2]]}};
-  const Ray ray = make_ray((float4)(0.0f), directions[item], NO_HIT);
-  origins[item] = leave_triangle(t, weights[item], camera_of(ray));
-}
-
-// Reads: sources (list_edge_pixels), slot_directions (aim_at_light, scatter_rays), item_prims, item_weights. Writes: rays
-// for trace_*: where those that leave items begin, side by side. Work item: one ray. Local memory: 0 bytes.
-kernel void leave_hits(
-    uint ray_count,
-    uint slot_count,                                // slots of an item
-    global const uint *restrict sources,            // [ray_count] slot of each ray
-    global const uint *restrict item_prims,         // [item_count] prim_id that its rays leave
-    global const float4 *restrict item_weights,     // [item_count] barycentrics of the point
-    global const float4 *restrict slot_directions,  // [slot_count * item_count] xyz; w t_max
-    global const float4 *restrict positions,        // [vertex_count] world space
-    global const uint *restrict indices,            // [3 * triangle_count] vertices
-    global float4 *restrict origins,                // [ray_count] xyz; w t_min 0
-    global float4 *restrict directions,             // [ray_count] xyz; w t_max, 0 where the triangle has no side
-    global uint *restrict excluded)                 // [ray_count] prim_id that is left
-{
-  const uint ray = get_global_id(0);
-  if (ray >= ray_count) return;
-  const uint source = sources[ray], item = source / slot_count, prim_id = item_prims[item];
-  global const uint *vertices = indices + 3 * (size_t)prim_id;
-  const Corners t = {{positions[vertices[0]], positions[vertices[1]], positions[vertices[2]]}};
-  const float4 direction = slot_directions[source], weights = item_weights[item];
-  const float4 origin = leave_triangle(t, (float4)(weights.xyz, 0.0f), camera_of(make_ray((float4)(0.0f), direction, NO_HIT)));
-  origins[ray] = (float4)(origin.xyz, 0.0f);
-  directions[ray] = (float4)(direction.xyz, origin.w > 0.0f ? direction.w : 0.0f);
-  excluded[ray] = prim_id;
 }

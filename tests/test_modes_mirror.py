@@ -216,7 +216,8 @@ def test_panes_seen_in_a_mirror(first_device: Device, mode: str) -> None:
     frame = traced(first_device, scene, looking(16, (0, -1, 2), (0, 0, 0), 1 / 64), mode, max_depth=3, **options)
     sky = 0.625 * 0.75 * np.array((0.25, 0.5, 1.0))
     expected = np.array((0.375, 0, 0)) + 0.625 * 0.25 * np.array((0, 0.5, 0)) + sky
-    assert rays(frame)["refraction"] > 0
+    # Paths are stopped by a pane or go on as the rays that they were.
+    assert (rays(frame)["refraction"] > 0) == (mode == "whitted")
     if mode == "whitted":
         np.testing.assert_allclose(color(frame), np.broadcast_to(expected, (16, 16, 3)), rtol=16 * 2.0**-24)
     for channel in range(3):

@@ -66,6 +66,14 @@ def fill(device: Device, buffer: cl.Buffer, value: np.generic, nbytes: int, offs
     return cl.enqueue_fill_buffer(device.queue, buffer, np.asarray(value), offset, nbytes)
 
 
+def filled(device: Device, value: np.generic, nbytes: int) -> cl.Buffer:
+    """A new buffer in which one numpy scalar is repeated."""
+    buffer = create(device, nbytes)
+    if nbytes:
+        fill(device, buffer, value, nbytes)
+    return buffer
+
+
 def download(
     device: Device,
     buffer: cl.Buffer,

@@ -212,15 +212,12 @@ PAIRS_OF_HIT = 5
 ROULETTE_DEPTH = 3
 """Generation from which on paths may end by Russian roulette."""
 
-BEFORE_EMITTER = 1.0 - 2.0**-12
-"""Share of the way to an emissive triangle on which something may be in the way of its light."""
-
 LEAST_WAY = 2.0**-60
 LARGEST_WAY = 2.0**60
 """Of the largest component of a ray's direction: what trace_rays.cl takes."""
 
 THIN_ALPHA = 0.5
-"""Blending surfaces under this alpha do not stop light."""
+"""Blending surfaces under this alpha do not stop light outside of paths."""
 
 NO_TEXTURE = 0xFFFFFFFF
 

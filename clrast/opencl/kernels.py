@@ -243,9 +243,10 @@ SCALAR_PROGRAMS = ("prepare_triangles.cl", "shade_hits.cl", "settle_contenders.c
 
 MASKED = ("alpha_mask", "alpha_blend", "textures", "vertex_colors")
 
-RAY_PROGRAMS = ("trace_rays.cl",)
+RAY_PROGRAMS = ("trace_rays.cl", "leave_hits.cl")
 """Programs for rays of no camera: always exact, each ray a perspective sample of its own. They read the vector width,
-float64, the order of triangles and the stack's capacity; what else views are made of leaves them as they are."""
+float64, the order of triangles, the stack's capacity and what decides whether rays pass surfaces; what else views are
+made of leaves them as they are."""
 
 
 def build(device: Device, name: str, features: Features | None = None, folder: Path | None = None) -> Program:
@@ -259,7 +260,7 @@ def build(device: Device, name: str, features: Features | None = None, folder: P
         features = replace(features, vector_width=1, edges=Edges.SPATIAL)
     if name in RAY_PROGRAMS:
         width, stack = features.vector_width, features.stack_capacity
-        kept = {name: getattr(features, name) for name in ("prefetch", "leaf_order", *MASKED)}
+        kept = {name: getattr(features, name) for name in ("prefetch", "leaf_order", "indirect", *MASKED)}
         features = Features(width, precision=Precision.EXACT, float64=features.float64, stack_capacity=stack, **kept)
     defines = features.defines(source)
     key = (name, source, defines)

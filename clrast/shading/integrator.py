@@ -47,8 +47,8 @@ RAY_KINDS = {RAY_REFLECTED: "rays_reflection", RAY_REFRACTED: "rays_refraction",
 SURFACES = ("uv", "uv1", "colors", "material_ids", "materials", "textures", "texels", "srgb_to_linear")
 
 BYTES_PER_SLOT = 33
-BYTES_PER_RAY = 16 + 16 + 4 + 8 + 28 + 80
-"""Origins, directions, excluded; sources and places; what is hit; the item that it becomes."""
+BYTES_PER_RAY = 16 + 16 + 4 + 24 + 8 + 28 + 80
+"""Origins, directions, excluded; ends, lamps, keys; sources and places; what is hit; the item that it becomes."""
 
 SLOT_CHANGE_BYTES, ITEM_FOOTPRINT_BYTES = 32, 48
 """Besides, where textures are filtered: how a ray's direction changes from pixel to pixel; what an item covers."""
@@ -103,6 +103,7 @@ class Integrator:
         self.shows_shadows = plan["shadow"]
         masked = {"alpha_mask": features.alpha_mask, "alpha_blend": features.alpha_blend}
         looked_up = {"textures": features.textures, "vertex_colors": features.vertex_colors}
+        looked_up["indirect"] = features.indirect and features.alpha_blend
         masks, reads = None, masked
         if any(masked.values()):
             masks, reads = surfaces.named(*MASK_ARGUMENTS), {**masked, **looked_up}
@@ -134,6 +135,7 @@ class Integrator:
         self._lights = {
             **surfaces.named("lights"),
             "emitters": buffers.upload(device, sources.prims),
+            "emitter_slots": buffers.upload(device, self.tracer.slots_of(sources.prims)),
             "power_sums": buffers.upload(device, sources.sums),
         }
         # A light at a time; or in paths one that is drawn of all.
@@ -150,7 +152,7 @@ class Integrator:
         filters : whether textures are filtered by footprints.
         """
         footprints = (1 + 4) * ITEM_FOOTPRINT_BYTES + 2 * SLOT_CHANGE_BYTES if filters else 0
-        return 52 + 12 + 16 + 2 * BYTES_PER_SLOT + 4 * BYTES_PER_RAY + footprints
+        return 52 + 12 + 16 + 20 + 2 * BYTES_PER_SLOT + 4 * BYTES_PER_RAY + footprints
 
     @staticmethod
     def largest_piece(filters: bool) -> int:
@@ -264,39 +266,46 @@ class Integrator:
             environment_r=red, environment_g=green, environment_b=blue, item_origins=items.origins,
             radiances=radiances,
         )  # fmt: skip
-        slots = {
-            "slot_directions": self._room("slot_directions", 16 * items.count),
-            "slot_radiances": self._room("slot_radiances", 16 * items.count),
+        ends = {
+            "slot_ends": self._room("slot_ends", 16 * items.count),
+            "slot_lamps": self._room("slot_lamps", 4 * items.count),
         }
+        brought = {"slot_radiances": self._room("slot_radiances", 16 * items.count)}
         kinds = self._room("slot_kinds", items.count)
         for light in range(self._rounds):
             self._launch(
                 self._lighting, "aim_at_light", items.count, **common, light=light, light_count=self._light_count,
                 emitter_count=self._emitter_count, path=path, depth=depth, is_last=int(is_last),
                 inverse_power=self._inverse_power, item_keys=items.keys, seed=self.depths.seed, **self._lights,
-                **slots, slot_kinds=kinds,
+                **ends, **brought, slot_kinds=kinds,
             )  # fmt: skip
             sources, count = self._lists.list(kinds, items.count, "sources")
             if not count:
                 continue
             self._launch(
                 self._lighting, "add_light", count, ray_count=count, sources=sources,
-                occluded=self._occluded(items, sources, count, slots["slot_directions"]),
-                slot_radiances=slots["slot_radiances"], radiances=radiances,
+                occluded=self._occluded(items, path, depth, sources, count, ends), **brought, radiances=radiances,
             )  # fmt: skip
         return radiances
 
-    def _occluded(self, items: Items, sources: cl.Buffer, count: int, directions: cl.Buffer) -> cl.Buffer:
+    def _occluded(
+        self, items: Items, path: int, depth: int, sources: cl.Buffer, count: int, ends: dict[str, cl.Buffer]
+    ) -> cl.Buffer:
         if not self.shows_shadows:
             free = self._room("occluded", 4 * count)
             buffers.fill(self.device, free, np.uint32(0), 4 * count)
             return free
         self.counts["rays_shadow"] += count
-        return self.tracer.enqueue_any(self._leave(items, sources, count, 1, directions))
+        streams = self._streams_left(items, depth)
+        return self.tracer.enqueue_any(
+            self.tracer.enqueue_leave_for_light(count, path, sources=sources, **ends, **streams)
+        )
 
-    def _leave(self, items: Items, sources: cl.Buffer, count: int, slot_count: int, directions: cl.Buffer) -> Any:
-        streams = {name: items.hits[name] for name in ("item_prims", "item_weights")}
-        return self.tracer.enqueue_leave(count, slot_count, sources=sources, slot_directions=directions, **streams)
+    def _streams_left(self, items: Items, depth: int) -> dict[str, Any]:
+        """What leave_hits.cl takes of the items that rays leave."""
+        hits = {name: items.hits[name] for name in ("item_prims", "item_weights", "item_positions")}
+        numbers = {"is_first": int(items.is_first), "seed": self.depths.seed, "depth": depth}
+        return {**hits, "item_keys": items.keys, **numbers}
 
     def _go_on(self, items: Items, path: int, depth: int) -> Items | None:
         """The hits of the rays that go on from items; None where none do. Waits."""
@@ -314,7 +323,10 @@ class Integrator:
         if not count:
             return None
         self._count_kinds(kinds, slots)
-        rays = self._leave(items, sources, count, self.slot_count, directions)
+        rays = self.tracer.enqueue_leave(
+            count, path, slot_count=self.slot_count, sources=sources, slot_directions=directions,
+            **self._streams_left(items, depth),
+        )  # fmt: skip
         found = self.tracer.enqueue_closest(rays)
         return self._arrive(items, sources, count, rays.arguments, found, {"slot_throughputs": throughputs, **changes})
 

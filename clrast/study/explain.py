@@ -23,7 +23,7 @@ PROBE_PATHS = 4
 PROBE_FRAMES = 3
 
 KERNELS = {
-    "shadow": ("aim_at_light", "leave_hits", "trace_any", "add_light"),
+    "shadow": ("aim_at_light", "leave_for_light", "trace_any", "add_light"),
     "reflection": ("scatter_rays", "leave_hits", "trace_closest", "arrive"),
     "refraction": ("scatter_rays", "leave_hits", "trace_closest", "arrive"),
     "indirect light": ("scatter_rays", "leave_hits", "trace_closest", "arrive"),

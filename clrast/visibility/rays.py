@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -59,10 +59,16 @@ class RayHits:
 
 @dataclass(frozen=True)
 class RayBuffers:
-    """Rays on the device. arguments : origins, directions and excluded, as the kernels of trace_rays.cl take them."""
+    """Rays on the device. arguments : origins, directions and excluded, as the kernels of trace_rays.cl take them.
+
+    ends : of rays that look for light ends and lamp_slots, as trace_any takes them; empty where t_max alone counts.
+    draws : of rays of paths what says which panes they pass, ray_keys and path; or empty.
+    """
 
     count: int
     arguments: dict[str, cl.Buffer]
+    ends: dict[str, cl.Buffer] = field(default_factory=dict)
+    draws: dict[str, Any] = field(default_factory=dict)
 
 
 def ray_features(device: Device, bvh: Bvh | None, **masks: Any) -> Features:
@@ -70,7 +76,8 @@ def ray_features(device: Device, bvh: Bvh | None, **masks: Any) -> Features:
 
     `Geometry` must be made with them, at world_scale 1.
 
-    masks : what is looked up at hits, of alpha_mask, alpha_blend, textures and vertex_colors.
+    masks : what is looked up at hits, of alpha_mask, alpha_blend, textures and vertex_colors; with indirect it is drawn
+    whether rays pass a blending surface.
     """
     return Features(
         device.vector_width,
@@ -142,7 +149,8 @@ class RayTracer:
 
     features : of `ray_features`. geometry : built with these, at world_scale 1, with its hierarchy; or without, and
     grid : over it. masks : with features.alpha_mask or alpha_blend what surfaces are looked up in, by the arguments of
-    trace_rays.cl; rays then pass where a surface is masked, and `any` also where it blends and is thin.
+    trace_rays.cl; rays then pass where a surface is masked, and `any` also where it blends and is thin;
+    with features.indirect each ray is stopped by what blends with the probability alpha, and is to bring its draws.
     `accelerator` : bvh or grid. `launches` : kernels launched. `nbytes` : of the structure and its leaves on the
     device. `grid_ms` : what building the grid took, where build_tracer did.
     Raises DeviceError on drivers that limit loops.
@@ -163,6 +171,7 @@ class RayTracer:
         self.launches = 0
         self.grid_ms = 0.0
         self._program = kernels.build(device, "trace_rays.cl", features)
+        self._leaving = kernels.build(device, "leave_hits.cl", features)
         self._masks = dict(masks or {})
         if grid is None:
             self.accelerator = "bvh"
@@ -239,29 +248,60 @@ class RayTracer:
             "distances": buffers.create(self.device, 8 * rays.count),
             "weights": buffers.create(self.device, 16 * rays.count),
         }
-        of_scene = {**self._scene, **self._vertices, **self._masks}
-        self._launch("trace_closest", rays.count, **rays.arguments, **of_scene, **made)
+        of_scene = {**self._scene, **self._vertices, **self._masks, **self._draws(rays)}
+        self._launch(self._program, "trace_closest", rays.count, **rays.arguments, **of_scene, **made)
         return made
 
     def enqueue_any(self, rays: RayBuffers) -> cl.Buffer:
         """Enqueue `any` of rays on the device; returns [ray_count] uint, 1 where something is hit."""
         occluded = buffers.create(self.device, 4 * rays.count)
-        masks = {**self._vertices, **self._masks} if self._masks else {}
-        self._launch("trace_any", rays.count, **rays.arguments, **self._scene, **masks, occluded=occluded)
+        masks = {**self._vertices, **self._masks, **self._draws(rays)} if self._masks else {}
+        ends = rays.ends or {
+            "ends": buffers.filled(self.device, np.float32(0), 16 * rays.count),
+            "lamp_slots": buffers.filled(self.device, np.uint32(NO_HIT), 4 * rays.count),
+        }
+        self._launch(self._program, "trace_any", rays.count, **rays.arguments, **ends, **self._scene, **masks,
+                     occluded=occluded)  # fmt: skip
         return occluded
 
-    def enqueue_leave(self, count: int, slot_count: int, **streams: cl.Buffer) -> RayBuffers:
-        """Enqueue leave_hits, which see: rays on the device that leave items of streams.
+    def _draws(self, rays: RayBuffers) -> dict[str, Any]:
+        return rays.draws if self.features.alpha_blend and self.features.indirect else {}
 
-        streams : sources, item_prims, item_weights, slot_directions.
+    def enqueue_leave(self, count: int, path: int, **streams: Any) -> RayBuffers:
+        """Enqueue leave_hits, which see: rays on the device that go on from items of streams.
+
+        path : its number in the sample. streams : what leave_hits takes of items, and slot_count and slot_directions.
         """
-        made = {
-            "origins": buffers.create(self.device, 16 * count),
-            "directions": buffers.create(self.device, 16 * count),
-            "excluded": buffers.create(self.device, 4 * count),
+        made = self._make_rays(count)
+        keys = {"ray_keys": buffers.create(self.device, 4 * count)}
+        self._launch(self._leaving, "leave_hits", count, **streams, **self._vertices, **made, **keys)
+        return RayBuffers(count, made, draws={**keys, "path": path})
+
+    def enqueue_leave_for_light(self, count: int, path: int, **streams: Any) -> RayBuffers:
+        """Enqueue leave_for_light, which see: rays on the device from items of streams to where light comes from.
+
+        streams : what leave_for_light takes of items, and slot_ends and slot_lamps.
+        """
+        made = self._make_rays(count)
+        keys = {"ray_keys": buffers.create(self.device, 4 * count)}
+        ends = {
+            "ends": buffers.create(self.device, 16 * count),
+            "lamp_slots": buffers.create(self.device, 4 * count),
         }
-        self._launch("leave_hits", count, slot_count=slot_count, **streams, **self._vertices, **made)
-        return RayBuffers(count, made)
+        self._launch(self._leaving, "leave_for_light", count, **streams, **self._vertices, **made, **keys, **ends)
+        return RayBuffers(count, made, ends, {**keys, "path": path})
+
+    def _make_rays(self, count: int) -> dict[str, cl.Buffer]:
+        sizes = {"origins": 16, "directions": 16, "excluded": 4}
+        return {name: buffers.create(self.device, size * count) for name, size in sizes.items()}
+
+    def slots_of(self, prim_ids: np.ndarray) -> np.ndarray:
+        """(n,) uint32, where triangles' corners lie: in the order of a hierarchy's leaves, or in that of the file."""
+        if self.geometry.bvh is None:
+            return prim_ids.astype(np.uint32)
+        slots = np.zeros(self.geometry.triangle_count, dtype=np.uint32)
+        slots[self.geometry.bvh.prims] = np.arange(self.geometry.triangle_count, dtype=np.uint32)
+        return slots[prim_ids]
 
     def leave(self, prim_id: np.ndarray, barycentrics: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Where rays start that leave points of triangles: (ray_count, 3) float32, world space.
@@ -279,6 +319,7 @@ class RayTracer:
         _check_directions(directions)
         origins = buffers.create(self.device, 16 * len(prims))
         self._launch(
+            self._leaving,
             "offset_origins",
             len(prims),
             prims_left=buffers.upload(self.device, prims),
@@ -320,10 +361,10 @@ class RayTracer:
         }
         return RayBuffers(count, arguments)
 
-    def _launch(self, kernel: str, count: int, **arguments: Any) -> None:
+    def _launch(self, program: kernels.Program, kernel: str, count: int, **arguments: Any) -> None:
         if count:
             items = -(-count // WORK_GROUP) * WORK_GROUP
-            self._program.launch(kernel, items, WORK_GROUP, ray_count=count, **arguments)
+            program.launch(kernel, items, WORK_GROUP, ray_count=count, **arguments)
             self.launches += 1
 
 
