@@ -23,7 +23,16 @@ from clrast.opencl.layout import NO_HIT
 from clrast.options import RenderOptions
 from clrast.scene.model import Material
 from clrast.shading.filters import weight_at
-from clrast.visibility.sample_patterns import FILTERS, MSAA_COUNTS, UNITS, mixed, parse_antialiasing, pattern_of, sobol
+from clrast.visibility.sample_patterns import (
+    FILTERS,
+    MSAA_COUNTS,
+    UNITS,
+    mixed,
+    parse_antialiasing,
+    pattern_of,
+    scrambled,
+    sobol,
+)
 
 SIDE = 12
 CENTER = (UNITS // 2, UNITS // 2)
@@ -45,6 +54,20 @@ def test_sobol_points_are_nets(count: int) -> None:
     for a in range(levels + 1):
         boxes = {((x << a) // UNITS, (y << (levels - a)) // UNITS) for x, y in points}
         assert len(boxes) == count
+
+
+def test_scrambled_points_are_nets_and_centred_whenever_samples_stop() -> None:
+    """The samples of auto: a net, as Sobol's are, and from 8 on with a mean near the pixel's centre, as those have not."""
+    points = scrambled(256).positions
+    for levels in range(9):
+        for a in range(levels + 1):
+            boxes = {((x << a) // UNITS, (y << (levels - a)) // UNITS) for x, y in points[: 1 << levels]}
+            assert len(boxes) == 1 << levels
+    for levels in range(3, 7):
+        count = 1 << levels
+        mean = (np.array(points[:count]) + 0.5).mean(axis=0) / UNITS
+        assert np.abs(mean - 0.5).max() <= 0.06 / count
+    assert np.abs(np.array(sobol(256).positions[:8]).mean(axis=0) / UNITS - 0.5).max() > 0.05
 
 
 @pytest.mark.parametrize("count", [4, 8, 16])
@@ -185,7 +208,7 @@ def test_coverage_is_within_the_patterns_bound_of_the_area(count: int) -> None:
 def test_adaptive_samples_reach_the_area(device: Device) -> None:
     """No pixel is farther off than the first samples can be, most are near the threshold; flat ones are not sampled."""
     view = orthographic(SIDE, SIDE)
-    first = sobol(256).positions[:8]
+    first = scrambled(256).positions[:8]
     for (q, p), threshold in itertools.product(directions(3), (0.05, 0.01)):
         corner = (5 * 512 + 77, 6 * 512 + 131)
         scene = make_scene(edge_triangle(q, p, corner), materials=unlit((1.0, 1.0, 1.0)))

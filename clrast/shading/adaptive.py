@@ -20,6 +20,10 @@ from clrast.visibility.sample_patterns import Antialiasing, Position
 FIRST_SAMPLES = 8
 """Samples whose triangles are looked at in every pixel, and that every listed pixel gets."""
 
+FOOTPRINT = 0.25
+"""Side of what a sample of a listed pixel stands for, pixels: that of one in 16. For the first 8 finer ones than that
+are as good, and with coarser ones the error stops to fall where textures are blurred."""
+
 STATE_BYTES = 32
 """Device bytes of a listed pixel's sums."""
 
@@ -34,6 +38,7 @@ class AdaptiveSampler:
         self, device: Device, features: Features, wanted: Antialiasing, shader: Shader, max_pixels: int,
         layers: Layers | None,
     ) -> None:  # fmt: skip
+        shader.footprint = FOOTPRINT
         self.device, self.shader, self.layers = device, shader, layers
         self.positions, self.threshold = wanted.pattern.positions, float(np.float32(wanted.threshold))
         self.counts: dict[str, int] = {}
