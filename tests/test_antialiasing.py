@@ -57,7 +57,7 @@ def test_sobol_points_are_nets(count: int) -> None:
 
 
 def test_scrambled_points_are_nets_and_centred_whenever_samples_stop() -> None:
-    """The samples of auto: a net, as Sobol's are, and from 8 on with a mean near the pixel's centre, as those have not."""
+    """The samples of auto: a net, as Sobol's are, and from 8 on with a mean near the centre, as those have not."""
     points = scrambled(256).positions
     for levels in range(9):
         for a in range(levels + 1):
