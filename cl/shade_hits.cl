@@ -69,9 +69,9 @@ static inline float4 meet_plane(
   return (float4)(at_x.high, at_y.high, at_z.high, doubt) / view.world_scale;
 }
 
-// Evaluates the visible triangle at the sample (x, y) of the viewport.
+// Evaluates the visible triangle at the sample (x, y) of the viewport; without `has_place` not how far away it is.
 static inline Hit find_hit(
-    View view, uint prim_id, float x, float y, float footprint, float4 direction,
+    View view, uint prim_id, bool has_place, float x, float y, float footprint, float4 direction,
     global const float4 *positions, global const uint *indices, global const float4 *normals) {
   Hit hit;
   hit.at.prim_id = prim_id;
@@ -90,7 +90,9 @@ static inline Hit find_hit(
 #if FOOTPRINTS
   spread_weights(&hit.at, &setup, view, x, y, v, turn, footprint);
 #endif
-  hit.position = meet_plane(view, p0, p1, p2, x, y, direction, &hit.t, &hit.depth);
+  hit.position = (float4)(0.0f);
+  hit.t = hit.depth = 0.0f;
+  if (has_place) hit.position = meet_plane(view, p0, p1, p2, x, y, direction, &hit.t, &hit.depth);
   hit.direction = direction;
   const Vec3 plane = cross3(subtract(b, a), subtract(c, a));
   hit.geometric_normal = unit((float4)(plane.x, plane.y, plane.z, 0.0f));
@@ -244,7 +246,10 @@ kernel void shade_hits(
   }
 
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
-  const Hit hit = find_hit(view, prim_id, x, y, footprint, direction, positions, indices, normals);
+  const bool is_first = layer == 0;
+  const bool has_place = SECONDARY || LIT ||
+      (is_first && (planes.depth != PLANE_NONE || planes.distance != PLANE_NONE || planes.position != PLANE_NONE));
+  const Hit hit = find_hit(view, prim_id, has_place, x, y, footprint, direction, positions, indices, normals);
   const uint material_id = material_ids[prim_id];
   if (layer == 0) {
     if (planes.depth != PLANE_NONE) out[planes.depth * stride] = hit.depth;

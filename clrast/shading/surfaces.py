@@ -32,10 +32,12 @@ MAX_UV = 1.0e6
 
 
 def srgb_table() -> np.ndarray:
-    """(256,) float32: linear value of each sRGB byte (IEC 61966-2-1), computed in float64, rounded once."""
+    """(512,) float32: linear value of each sRGB byte (IEC 61966-2-1), computed in float64, rounded once; then of each
+    byte as a fraction of 255."""
     values = [c / 255 for c in range(256)]
     linear = [c / 12.92 if c <= 0.04045 else math.pow((c + 0.055) / 1.055, 2.4) for c in values]
-    return np.array(linear, dtype=np.float64).astype(np.float32)
+    fractions = np.arange(256, dtype=np.float32) * np.float32(1.0 / 255.0)
+    return np.concatenate([np.array(linear, dtype=np.float64).astype(np.float32), fractions])
 
 
 def _lookup_bits(use: TextureUse, filters_all: bool) -> int:
