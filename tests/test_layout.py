@@ -216,6 +216,7 @@ FLOORS = (
     "scene",
     "visibility",
     "quality",
+    "option_values",
     "options",
     "shading",
     "image",

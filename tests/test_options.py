@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from clrast import options as o
 from clrast.errors import UsageError
 from clrast.image.header import resolved_header
-from clrast.options import AOV_GROUPS, EFFECTS, RenderOptions, UnavailableError, make_options
+from clrast.option_values import UnavailableError
+from clrast.options import AOV_GROUPS, EFFECTS, RenderOptions, make_options
 from clrast.quality import PRESETS
 from clrast.visibility.sample_patterns import parse_antialiasing
 

@@ -34,7 +34,8 @@ sys.path.insert(0, str(ROOT))
 
 from clrast.job import RenderJob  # noqa: E402
 from clrast.opencl.device import Device, open_device  # noqa: E402
-from clrast.options import RenderOptions, parse_size, parse_vector  # noqa: E402
+from clrast.option_values import parse_size, parse_vector  # noqa: E402
+from clrast.options import RenderOptions  # noqa: E402
 from clrast.scene.camera import camera_vectors  # noqa: E402
 from clrast.scene.load import load  # noqa: E402
 from clrast.scene.model import Camera, Scene  # noqa: E402

@@ -26,7 +26,8 @@ from bench import scenes  # noqa: E402
 from clrast.job import RenderJob  # noqa: E402
 from clrast.opencl import buffers  # noqa: E402
 from clrast.opencl.device import open_device  # noqa: E402
-from clrast.options import AVAILABLE_PRECISIONS, RenderOptions, parse_size  # noqa: E402
+from clrast.option_values import parse_size  # noqa: E402
+from clrast.options import AVAILABLE_PRECISIONS, RenderOptions  # noqa: E402
 from clrast.scene.camera import camera_vectors  # noqa: E402
 from clrast.scene.model import Camera, Scene  # noqa: E402
 from clrast.shading.effects import plan_effects  # noqa: E402

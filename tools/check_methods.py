@@ -34,7 +34,7 @@ from edge_twins import Rounded, ViewTwin  # noqa: E402
 from clrast.errors import ClrastError  # noqa: E402
 from clrast.opencl.features import Edges  # noqa: E402
 from clrast.opencl.layout import BOUND_SLACK, INCREMENT_SLACK, NO_HIT  # noqa: E402
-from clrast.options import parse_size  # noqa: E402
+from clrast.option_values import parse_size  # noqa: E402
 from clrast.renderer import render  # noqa: E402
 from clrast.scene.camera import CameraVectors, camera_vectors  # noqa: E402
 from clrast.scene.load import load  # noqa: E402

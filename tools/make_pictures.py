@@ -23,7 +23,7 @@ import numpy as np  # noqa: E402
 
 from clrast import Camera, load, render  # noqa: E402
 from clrast.image.png import picture, write_pixels  # noqa: E402
-from clrast.options import parse_size  # noqa: E402
+from clrast.option_values import parse_size  # noqa: E402
 from clrast.scene.model import Light, Scene  # noqa: E402
 from clrast.study.suite import make_scene, make_view  # noqa: E402
 

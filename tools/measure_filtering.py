@@ -37,7 +37,8 @@ from clrast.image.frame import Frame  # noqa: E402
 from clrast.job import RenderJob  # noqa: E402
 from clrast.opencl.device import Device, open_device  # noqa: E402
 from clrast.opencl.layout import NO_HIT  # noqa: E402
-from clrast.options import RenderOptions, parse_size  # noqa: E402
+from clrast.option_values import parse_size  # noqa: E402
+from clrast.options import RenderOptions  # noqa: E402
 from clrast.scene.camera import camera_vectors  # noqa: E402
 from clrast.scene.model import Camera, Material, Scene, Texture, TextureUse  # noqa: E402
 from clrast.scene.shapes import icosphere  # noqa: E402

@@ -18,7 +18,8 @@ from clrast.commands.stats import to_json
 from clrast.commands.viewpoint import VIEW_NAMES, View, make_view
 from clrast.errors import EXIT_OK, UsageError
 from clrast.image.files import check_writable
-from clrast.options import check_choice, did_you_mean, listed, make_options, parse_count, parse_number
+from clrast.option_values import check_choice, did_you_mean, listed, parse_count, parse_number
+from clrast.options import make_options
 from clrast.study.accuracy_knobs import KNOB_NAMES
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import typer
 from clrast import __version__
 from clrast.commands import messages
 from clrast.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
-from clrast.options import did_you_mean, listed
+from clrast.option_values import did_you_mean, listed
 
 ABOUT = "Render triangle scenes with portable OpenCL kernels: the same bits on every machine."
 

@@ -18,7 +18,8 @@ from clrast.commands.stats import to_json
 from clrast.commands.viewpoint import VIEW_NAMES, View, make_view
 from clrast.errors import EXIT_OK, UsageError
 from clrast.image.files import check_writable, write_whole
-from clrast.options import did_you_mean, make_options, parse_count
+from clrast.option_values import did_you_mean, parse_count
+from clrast.options import make_options
 
 if TYPE_CHECKING:
     from clrast.study.cost import CostStudy

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from clrast.errors import OutputError, UsageError
 from clrast.image.files import IMAGE_SUFFIXES, check_writable
-from clrast.options import did_you_mean
+from clrast.option_values import did_you_mean
 
 if TYPE_CHECKING:
     from clrast.image.frame import Frame

@@ -10,7 +10,8 @@ from typing import Annotated
 
 import typer
 
-from clrast.options import AVAILABLE_METHODS, listed
+from clrast.option_values import listed
+from clrast.options import AVAILABLE_METHODS
 from clrast.options import EFFECTS as EFFECT_NAMES
 from clrast.quality import PRESETS
 from clrast.visibility.oracles import FRUSTUM_SIDES, ORACLES, RAY_ORACLES

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from clrast.commands.stats import complete_stats
 from clrast.commands.viewpoint import VIEW_NAMES, Choice, View, choose_camera, make_view
 from clrast.errors import SceneError, UsageError
-from clrast.options import RenderOptions, UnavailableError, make_options, parse_effects
+from clrast.option_values import UnavailableError
+from clrast.options import RenderOptions, make_options, parse_effects
 from clrast.quality import with_preset
 from clrast.scene.model import Camera, Scene
 

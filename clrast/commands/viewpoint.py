@@ -15,16 +15,8 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from clrast.errors import UsageError
-from clrast.options import (
-    AVAILABLE_PROJECTIONS,
-    PROJECTIONS,
-    Vector,
-    check_choice,
-    did_you_mean,
-    parse_fov,
-    parse_number,
-    parse_vector,
-)
+from clrast.option_values import Vector, check_choice, did_you_mean, parse_fov, parse_number, parse_vector
+from clrast.options import AVAILABLE_PROJECTIONS, PROJECTIONS
 from clrast.scene.model import Camera, Projection, Scene
 
 DEFAULT_UP = (0.0, 1.0, 0.0)

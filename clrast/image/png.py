@@ -10,6 +10,7 @@ from clrast.errors import OutputError, UsageError
 from clrast.image.files import write_whole
 from clrast.image.frame import Frame
 from clrast.image.tone import srgb_bytes, tone_map
+from clrast.visibility.sample_patterns import hash_bits
 
 NO_HIT = 4294967295
 
@@ -123,10 +124,7 @@ def _stretched(values: np.ndarray) -> np.ndarray:
 
 def _ids(ids: np.ndarray) -> np.ndarray:
     """A colour for each id from its mixed bits, none darker than 64; NO_HIT black."""
-    mixed = ids.astype(np.uint32)
-    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
-        mixed = (mixed ^ (mixed >> np.uint32(shift))) * np.uint32(factor)
-    mixed ^= mixed >> np.uint32(16)
+    mixed = hash_bits(ids.astype(np.uint32))
     octets = np.stack([(mixed >> np.uint32(shift)) & np.uint32(0xFF) for shift in (0, 8, 16)], axis=-1)
     colors = (octets * np.uint32(3) // np.uint32(4) + np.uint32(64)).astype(np.uint8)
     return np.where((ids == np.uint32(NO_HIT))[..., np.newaxis], np.uint8(0), colors)

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from clrast.errors import ClrastError
-from clrast.options import check_choice
+from clrast.option_values import check_choice
 from clrast.study import hard_edges, hard_places, hard_rims, hard_shapes
 from clrast.study.hard_cards import card_text
 from clrast.study.hard_case import HardCase

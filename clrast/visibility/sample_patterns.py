@@ -114,8 +114,9 @@ def sobol(count: int) -> Pattern:
     return Pattern("sobol", tuple((x + shift, y + shift) for x, y in points))
 
 
-def _hashed(x: int) -> int:
-    """A number of 32 bits in which every bit depends on every bit of x."""
+def hash_bits(x: Any) -> Any:
+    """A number of 32 bits in which every bit depends on every bit of x, an integer or an array of uint32: as
+    cl/random_numbers.clh has it."""
     x = (x ^ x >> 16) * 0x7FEB352D & 0xFFFFFFFF
     x = (x ^ x >> 15) * 0x846CA68B & 0xFFFFFFFF
     return x ^ x >> 16
@@ -126,7 +127,7 @@ def _flipped(value: int, seed: int) -> int:
     found = 0
     for digits in range(8):
         before = value >> 8 - digits
-        flip = _hashed(seed * 0x9E3779B9 + (1 << digits | before) & 0xFFFFFFFF) & 1
+        flip = hash_bits(seed * 0x9E3779B9 + (1 << digits | before) & 0xFFFFFFFF) & 1
         found = found << 1 | ((value >> 7 - digits & 1) ^ flip)
     return found
 
