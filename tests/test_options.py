@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from clrast import option_values as v
 from clrast import options as o
 from clrast.errors import UsageError
 from clrast.image.header import resolved_header
@@ -17,17 +18,17 @@ from clrast.options import AOV_GROUPS, EFFECTS, RenderOptions, make_options
 from clrast.quality import PRESETS
 from clrast.visibility.sample_patterns import parse_antialiasing
 
-FLOAT32_RANGE = st.floats(min_value=-o.MAX_FLOAT32, max_value=o.MAX_FLOAT32, allow_nan=False, allow_infinity=False)
+FLOAT32_RANGE = st.floats(min_value=-v.MAX_FLOAT32, max_value=v.MAX_FLOAT32, allow_nan=False, allow_infinity=False)
 
 
 @given(st.integers(1, 65535), st.integers(1, 65535))
 def test_size_round_trip_or_too_many_pixels(width: int, height: int) -> None:
     text = f"{width}x{height}"
     if width * height <= 16384 * 16384:
-        assert o.parse_size("--size", text) == (width, height)
+        assert v.parse_size("--size", text) == (width, height)
     else:
         with pytest.raises(UsageError, match=f"{width * height} pixels: at most 268435456"):
-            o.parse_size("--size", text)
+            v.parse_size("--size", text)
 
 
 @pytest.mark.parametrize(
@@ -37,15 +38,15 @@ def test_size_round_trip_or_too_many_pixels(width: int, height: int) -> None:
 )  # fmt: skip
 def test_size_refuses(text: str) -> None:
     with pytest.raises(UsageError, match="--size"):
-        o.parse_size("--size", text)
+        v.parse_size("--size", text)
 
 
 @given(st.tuples(FLOAT32_RANGE, FLOAT32_RANGE, FLOAT32_RANGE))
 def test_vector_round_trip(vector: tuple[float, float, float]) -> None:
     text = ",".join(repr(component) for component in vector)
-    assert o.parse_vector("--eye", text) == vector
-    assert o.parse_vector("--eye", list(vector)) == vector
-    assert o.parse_vector("--eye", np.array(vector)) == vector
+    assert v.parse_vector("--eye", text) == vector
+    assert v.parse_vector("--eye", list(vector)) == vector
+    assert v.parse_vector("--eye", np.array(vector)) == vector
 
 
 @pytest.mark.parametrize(
@@ -53,7 +54,7 @@ def test_vector_round_trip(vector: tuple[float, float, float]) -> None:
 )
 def test_vector_refuses(text: str) -> None:
     with pytest.raises(UsageError, match="--eye.*three"):
-        o.parse_vector("--eye", text)
+        v.parse_vector("--eye", text)
 
 
 @given(st.lists(st.sampled_from([*(group for group in AOV_GROUPS if group != "cost"), "all"]), min_size=1))
@@ -120,22 +121,22 @@ def test_effects_refuses(text: str, message: str) -> None:
      ("7 MiB", 7 * 2**20), ("12B", 12)],
 )  # fmt: skip
 def test_memory(text: str, size: int) -> None:
-    assert o.parse_memory("--memory", text) == size
+    assert v.parse_memory("--memory", text) == size
 
 
 @pytest.mark.parametrize("text", ["", "0", "-1", "G", "1X", "1e9", "nan", "0.1", "1GG", "9999999T", "9" * 30])
 def test_memory_refuses(text: str) -> None:
     with pytest.raises(UsageError, match="--memory"):
-        o.parse_memory("--memory", text)
+        v.parse_memory("--memory", text)
 
 
 @given(st.floats())
 def test_fov_is_inside_0_and_180(degrees: float) -> None:
     if math.isfinite(degrees) and 0 < degrees < 180:
-        assert o.parse_fov("--fov", repr(degrees)) == degrees
+        assert v.parse_fov("--fov", repr(degrees)) == degrees
     else:
         with pytest.raises(UsageError, match="between 0 and 180"):
-            o.parse_fov("--fov", repr(degrees))
+            v.parse_fov("--fov", repr(degrees))
 
 
 @pytest.mark.parametrize(
