@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from clrast import job as job_module
+from clrast import job_choices
 from clrast.image.frame import Frame
 from clrast.opencl import layout
 from clrast.opencl.device import Device
@@ -103,12 +104,12 @@ def with_material(scene: Scene, **fields: Any) -> Scene:
 @contextmanager
 def settings(tile_log2: int = 5, chunk_count: int | None = None) -> Iterator[None]:
     """Tile size and number of chunks meanwhile; no pixel may depend on either."""
-    before = job_module.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT
-    job_module.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT = tile_log2, chunk_count or screen_bounds.CHUNK_COUNT
+    before = job_choices.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT
+    job_choices.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT = tile_log2, chunk_count or screen_bounds.CHUNK_COUNT
     try:
         yield
     finally:
-        job_module.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT = before
+        job_choices.TILE_LOG2_SMALL, screen_bounds.CHUNK_COUNT = before
 
 
 def start(device: Device, scene: Scene, view: CameraVectors, **options: Any) -> tuple[job_module.RenderJob, Frame]:

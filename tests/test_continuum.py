@@ -28,8 +28,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from kernel_world import NO_HIT, make_scene, methods_on, orthographic, perspective, render, start
 
-from clrast import job as job_module
-from clrast import renderer
+from clrast import job_choices, renderer
 from clrast.errors import CapacityError
 from clrast.opencl import buffers
 from clrast.opencl.device import Device
@@ -318,7 +317,7 @@ def test_a_traversal_stops_and_goes_on(
     scene, view = make_scene(soup(34, 160)), oblique("perspective", 70, 45)
     right = expected(device, ("stops",), scene, view)
     method, oracles = point
-    side_log2 = job_module.square_log2(device, resolve_method(method, oracles), view.width * view.height)
+    side_log2 = job_choices.square_log2(device, resolve_method(method, oracles), view.width * view.height)
     for_samples = 8 * 4**side_log2  # RESERVED_ITERATIONS of traverse_frusta.cl: clearing and storing them
     launches = []
     for iterations in (first, second):
@@ -338,7 +337,7 @@ def test_limited_loops_leave_room_for_a_step(device: Device, vector_width: int) 
     limit = loop_limit(limited)
     assert limit is not None
     for method in ("3dr-brute", "3dr-full", "raycast-bvh"):
-        side_log2 = job_module.square_log2(limited, resolve_method(method, ["frustum=256"]), 300 * 300)
+        side_log2 = job_choices.square_log2(limited, resolve_method(method, ["frustum=256"]), 300 * 300)
         assert 8 * 4**side_log2 + 1000 < limit, (method, side_log2)
 
 

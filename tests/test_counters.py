@@ -11,7 +11,7 @@ import pytest
 from continuum_world import ROWS, differences, glass_and_leaves, images, oblique, soup
 from kernel_world import NO_HIT, make_scene, methods_on, orthographic, start
 
-from clrast import job as job_module
+from clrast import job_choices
 from clrast.job import RenderJob
 from clrast.opencl import kernels
 from clrast.opencl.device import Device
@@ -336,4 +336,4 @@ def test_every_method_of_the_table_counts(device: Device) -> None:
         splits = method.oracles["split_frustum"].setting != "never"
         assert (found["frusta_split"] > 0) == (splits and not method.tiles), name
         assert (found["traversal_steps"] > 0) == (method.needs_bvh or method.grid)
-        assert job_module.square_log2(device, method, SIDE * SIDE) >= 2
+        assert job_choices.square_log2(device, method, SIDE * SIDE) >= 2

@@ -220,6 +220,7 @@ FLOORS = (
     "options",
     "shading",
     "image",
+    "job_choices",
     "job",
     "renderer",
     "study",
