@@ -1,4 +1,4 @@
-"""What options, scene and device decide of a render before its buffers: method, hierarchy, tiles, features of kernels."""
+"""What options, scene and device decide before a render's buffers: method, hierarchy, tiles, features of kernels."""
 
 from __future__ import annotations
 

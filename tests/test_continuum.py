@@ -296,7 +296,7 @@ def test_the_memory_that_an_error_names_is_enough(device: Device) -> None:
 def limited_loops(monkeypatch: pytest.MonkeyPatch, iterations: int) -> Iterator[None]:
     """As on a driver that ends all loops of a work-item after twice as many iterations."""
     with monkeypatch.context() as patch:
-        for module in (job_module, renderer, frusta):
+        for module in (job_choices, renderer, frusta):
             patch.setattr(module, "loop_limit", lambda device: iterations)
         yield
 
