@@ -28,6 +28,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from kernel_world import NO_HIT, make_scene, methods_on, orthographic, perspective, render, start
 
+from clrast import job as job_module
 from clrast import job_choices, renderer
 from clrast.errors import CapacityError
 from clrast.opencl import buffers
@@ -296,7 +297,7 @@ def test_the_memory_that_an_error_names_is_enough(device: Device) -> None:
 def limited_loops(monkeypatch: pytest.MonkeyPatch, iterations: int) -> Iterator[None]:
     """As on a driver that ends all loops of a work-item after twice as many iterations."""
     with monkeypatch.context() as patch:
-        for module in (job_choices, renderer, frusta):
+        for module in (job_module, job_choices, renderer, frusta):
             patch.setattr(module, "loop_limit", lambda device: iterations)
         yield
 
