@@ -85,10 +85,11 @@ static inline float4 shared_color(const SharedColors *c, uint pixel, uint place,
 // mean of the samples whose surface is known. Work item: one edge pixel. Local memory: 0 bytes.
 kernel void resolve_surfaces(
     uint pixel_count,                            // of the band
-    uint edge_count,
+    uint first_edge,                             // of the list that is taken
+    uint edge_count,                             // from there on
     uint sample_count,
     uint listed_count,
-    global const uint *restrict edge_pixels,     // [edge_count]
+    global const uint *restrict edge_pixels,     // [first_edge + edge_count]
     global const uchar *restrict surfaces,       // [edge_count * sample_count]
     global const uint *restrict first_surfaces,  // [edge_count]
     global const float *restrict shaded,         // [4 * listed_count]
@@ -96,7 +97,7 @@ kernel void resolve_surfaces(
 {
   const uint place = get_global_id(0);
   if (place >= edge_count) return;
-  const uint pixel = edge_pixels[place];
+  const uint pixel = edge_pixels[first_edge + place];
   const SharedColors c = {sample_count, listed_count, pixel_count, values, surfaces, first_surfaces, shaded};
   float4 sum = (float4)(0.0f);
   float known = 0.0f;

@@ -8,6 +8,9 @@
 //   csaa: a coverage sample belongs to the nearest known triangle that covers it, or to nothing, if a sample shows that
 //   and none covers it; where triangles are fine, so that some may be unknown, coverage samples do not count
 //   colour of the pixel: the mean over its samples of the colours of their surfaces
+// Where one colour for a surface is not enough (flag_varied: colours of neighbours differ; csaa with shading rate sample)
+// each sample that has visibility of its own is a surface by itself, and a coverage sample has the colour of the nearest
+// of those that show its surface.
 // Lists are those of list_samples.cl.
 // Good at: few surfaces a pixel, however many triangles. Bad at: textures finer than pixels (shade every sample then).
 // Tests: tests/test_antialiasing.py.
@@ -153,22 +156,75 @@ static inline bool cover_samples(
   return true;
 }
 
+// Reads: values (shade_hits), edge_flags (flag_edge_pixels). Writes: varied_flags (for count_flags): where a colour differs
+// by more than SHADING_CONTRAST from that of a neighbour in the row, or of the other row of its pair: bands begin at even
+// rows. Those are no edge pixels any more. Work item: one pixel. Local memory: 0 bytes.
+kernel void flag_varied(
+    uint pixel_count,                     // of the band
+    uint width,                           // pixels of a row
+    global const float *restrict values,  // [4 * pixel_count] R G B A at the centres
+    global uchar *restrict edge_flags,    // [pixel_count] in and out
+    global uchar *restrict varied_flags)  // [pixel_count] 255 or 0
+{
+  const uint pixel = get_global_id(0);
+  if (pixel >= pixel_count) return;
+  const uint column = pixel % width;
+  bool varied = false;
+  for (uint plane = 0; plane < 4; ++plane) {
+    global const float *color = values + (size_t)plane * pixel_count + pixel;
+    const float own = color[0];
+    const float left = column > 0 ? color[-1] : own, right = column + 1 < width ? color[1] : own;
+    float other = own;
+    if (pixel / width & 1) other = color[-(int)width];
+    else if (pixel_count - pixel > width) other = color[width];
+    const float most = max(max(fabs(left - own), fabs(right - own)), fabs(other - own));
+    varied |= most > SHADING_CONTRAST;
+  }
+  varied_flags[pixel] = varied ? 255 : 0;
+  if (varied) edge_flags[pixel] = 0;
+}
+
+// Makes each sample that has visibility of its own a surface by itself; returns how many. `out` in: surfaces.
+static inline uint part_samples(
+    uint depth_count, uint sample_count, global const uint *sample_positions, global uchar *out) {
+  uchar own[MAX_SHARED_SAMPLES];
+  uint count = 0;
+  for (uint sample = 0; sample < depth_count; ++sample) own[sample] = out[sample] == SURFACE_NOTHING ? SURFACE_NOTHING : ++count;
+  for (uint sample = depth_count; sample < sample_count; ++sample) {
+    if (out[sample] == SURFACE_NOTHING) continue;
+    const int x = sample_positions[sample] & 0xffffu, y = sample_positions[sample] >> 16;
+    int least = 0x7fffffff;
+    uchar nearest = SURFACE_UNKNOWN;
+    for (uint other = 0; other < depth_count; ++other) {
+      const int dx = (int)(sample_positions[other] & 0xffffu) - x, dy = (int)(sample_positions[other] >> 16) - y;
+      if (out[other] != out[sample] || dx * dx + dy * dy >= least) continue;
+      least = dx * dx + dy * dy;
+      nearest = own[other];
+    }
+    out[sample] = nearest;
+  }
+  for (uint sample = 0; sample < depth_count; ++sample) out[sample] = own[sample];
+  return count;
+}
+
 // Reads: edge_pixels (list_samples.cl), center_prims, sample_prims (rasterize_tiles), scene buffers (host).
 // Writes: surfaces (for list_surfaces, resolve_surfaces), new_surfaces (for sum_bytes).
 // Work item: one edge pixel. Local memory: 0 bytes.
 kernel void group_samples(
     View view,
-    uint edge_count,
+    uint first_edge,                              // of the list that is taken
+    uint edge_count,                              // from there on
     uint depth_count,                             // samples with visibility of their own
     uint sample_count,                            // and coverage samples
     uint prim_stride,
+    uint parts,                                   // 1: each sample with visibility of its own is shaded
     float surface_distance,                       // of planes that count as one: world units, or a share of t
     global const float4 *restrict positions,      // [vertex_count] world space times world_scale
     global const uint *restrict indices,          // [3 * triangle_count]
     global const uint *restrict object_ids,       // [triangle_count]
     global const uint *restrict material_ids,     // [triangle_count]
     global const uint *restrict sample_positions, // [sample_count] 256ths of a pixel, x | y << 16
-    global const uint *restrict edge_pixels,      // [edge_count]
+    global const uint *restrict edge_pixels,      // [first_edge + edge_count]
     global const uint *restrict center_prims,     // [pixel_count]
     global const uint *restrict sample_prims,     // [depth_count * prim_stride]
     global uchar *restrict surfaces,              // [edge_count * sample_count] number of each sample's surface
@@ -176,7 +232,7 @@ kernel void group_samples(
 {
   const uint item = get_global_id(0);
   if (item >= edge_count) return;
-  const uint pixel = edge_pixels[item];
+  const uint pixel = edge_pixels[first_edge + item];
   const float left = (float)(pixel % view.width) - view.center_x;
   const float top = (float)(pixel / view.width + (view.band_row << TILE_LOG2)) - view.center_y;
   const Ground g = {view, surface_distance, positions, indices, object_ids, material_ids};
@@ -197,7 +253,7 @@ kernel void group_samples(
   }
   const bool is_whole = s.surface_count == 1 && !shows_nothing;  // one surface: so are the samples that nobody asked
   for (uint sample = depth_count; sample < sample_count; ++sample)
-    out[sample] = is_whole ? SURFACE_OF_CENTER : SURFACE_UNKNOWN;
+    out[sample] = is_whole && !parts ? SURFACE_OF_CENTER : SURFACE_UNKNOWN;
   if (!is_whole && sample_count > depth_count) {
     const bool is_known = s.prim_count == s.surface_count &&
                           cover_samples(&g, &s, left, top, depth_count, sample_count, sample_positions, out);
@@ -206,7 +262,7 @@ kernel void group_samples(
       else if (out[sample] == SURFACE_UNKNOWN && shows_nothing) out[sample] = SURFACE_NOTHING;
     }
   }
-  new_surfaces[item] = s.surface_count - 1;
+  new_surfaces[item] = parts ? part_samples(depth_count, sample_count, sample_positions, out) : s.surface_count - 1;
 }
 
 // The sample of a surface that lies nearest to the centroid of its samples, the first of equals.
@@ -234,12 +290,13 @@ static inline uint central_sample(
 // Reads: surfaces, new_surfaces (group_samples), begins (list_samples.cl). Writes: shaded_prims, places (for shade_hits),
 // first_surfaces (for resolve_surfaces). Work item: LIST_CHUNK edge pixels. Local memory: 0 bytes.
 kernel void list_surfaces(
-    uint edge_count,
+    uint first_edge,                              // of the list that is taken
+    uint edge_count,                              // from there on
     uint depth_count,
     uint sample_count,
     uint prim_stride,
     global const uint *restrict sample_positions, // [sample_count]
-    global const uint *restrict edge_pixels,      // [edge_count]
+    global const uint *restrict edge_pixels,      // [first_edge + edge_count]
     global const uint *restrict sample_prims,     // [depth_count * prim_stride]
     global const uchar *restrict surfaces,        // [edge_count * sample_count]
     global const uchar *restrict new_surfaces,    // [edge_count]
@@ -252,7 +309,7 @@ kernel void list_surfaces(
   if (begin >= edge_count) return;
   uint position = begins[begin / LIST_CHUNK];
   for (uint item = begin; item < min(begin + LIST_CHUNK, edge_count); ++item) {
-    const uint pixel = edge_pixels[item];
+    const uint pixel = edge_pixels[first_edge + item];
     first_surfaces[item] = position;
     for (uint surface = 1; surface <= new_surfaces[item]; ++surface, ++position) {
       const uint sample = central_sample(surfaces + (size_t)item * sample_count, sample_positions, depth_count, surface);

@@ -19,7 +19,7 @@ from clrast.options import RenderOptions
 from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Scene
 from clrast.shading.accumulation import Accumulation
-from clrast.shading.antialias import check_bands, make_resolver, resolver_bytes
+from clrast.shading.antialias import check_bands, make_resolver, resolver_bytes, uses_centers
 from clrast.shading.effects import EffectPlan
 from clrast.shading.integrator import Depths, Integrator, no_rays
 from clrast.shading.shade import Shader, channel_names
@@ -268,7 +268,9 @@ class RenderJob:
             self.work.clear_cost()
         self._timed("visibility", self.tiles.rasterize)
         self.passes += 1
-        self._timed("shade", lambda: self.shader.shade(self.tiles.view, self.tiles.visible_prims, pixel_count, 0))
+        follows = uses_centers(self.options, self.plan["alpha blend"])
+        shade = partial(self.shader.shade, self.tiles.view, self.tiles.visible_prims, pixel_count, 0, follows=follows)
+        self._timed("shade", shade)
         self._timed("resolve", lambda: self._read_prims(channels, first_row, row_count))
         if self.plan["alpha blend"]:
             self._render_layers(pixel_count, self.shader)

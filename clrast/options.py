@@ -45,6 +45,8 @@ times for any hit (tools/bench_rays.py). It is built in a third to six tenths of
 of a scene together have less than about a ray a triangle.
 """
 GRID_METHODS = tuple(name for name, row in METHOD_TABLE.items() if row.grid)
+SHADING_RATES = ("pixel", "sample", "auto")
+"""Of msaa and csaa: each surface of a pixel once, every sample, or the second where colours of neighbours differ."""
 MODES = ("cast", "shadow", "whitted", "path")
 PROJECTIONS = ("perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube")
 AVAILABLE_PROJECTIONS = PROJECTIONS
@@ -160,7 +162,7 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "memory": parse_memory,
     "repeat": _count(0, 1_000_000),
     "aa": _parse_antialiasing,
-    "shading_rate": _choice(("pixel", "sample")),
+    "shading_rate": _choice(SHADING_RATES),
     "filter": _choice(FILTERS),
     "evaluation": _choice(("direct", "incremental")),
     "samples": _count(1, 1 << 24),
@@ -272,8 +274,10 @@ class RenderOptions:
         self._check_accelerator()
         if self.filter != "box" and self.aa.startswith("auto"):
             raise UsageError(f"--filter {self.filter} needs as many samples in each pixel: use --aa ssaa:N or msaa:N")
-        if self.shading_rate == "sample" and self.aa.startswith("csaa"):
-            raise UsageError("--shading-rate sample: csaa's coverage samples have no shading: use --aa msaa:N")
+        parts_pixels = self.shading_rate == "auto" or (self.shading_rate == "sample" and self.aa.startswith("csaa"))
+        if self.filter != "box" and parts_pixels and self.aa.startswith(("msaa", "csaa")):
+            rate = f"--shading-rate {self.shading_rate}"
+            raise UsageError(f"{rate} of {self.aa} resolves pixels by themselves: use --filter box, or --aa ssaa:N")
 
 
     def check_projection(self, projection: str) -> None:

@@ -5,22 +5,22 @@
     python tools/bench_aa.py --modes none,msaa:16,csaa:4+12 --repetitions 30 --scenes bunny,dragon
     python tools/bench_aa.py --mode whitted               1 shadow ray and 1 reflection ray of each shaded sample
 
-A mode is one of `--aa`, with `/sample` behind it for `--shading-rate sample`. All modes render each scene in turn, so
-that a machine that drifts drifts for all. A time is that of a whole frame: setup, binning, visibility, shading, resolve
-and reading the channels back, not of loading and writing. The table gives medians with the 10th and 90th percentile and
-the median of the paired ratios to `none`. The error is the root mean square over R, G, B and over A, of the pixels where
-the reference and `none` differ (edges, textures, and with rays shadows and mirrored things) against `--reference`,
-which comes from the same kernels: it measures sampling, not shading. `edges` is the error where a sample of the pixel
-shows another triangle than its centre (which `msaa` finds), `inside` that of the other pixels.
+A mode is one of `--aa`, with `/sample` or `/auto` behind it for that `--shading-rate`. All modes render each scene in
+turn, so that a machine that drifts drifts for all. A time is that of a whole frame: setup, binning, visibility,
+shading, resolve and reading the channels back, not of loading and writing. The table gives medians with the 10th and
+90th percentile and the median of the paired ratios to `none`. The error is the root mean square over R, G, B and over
+A, of the pixels where the reference and `none` differ (edges, textures, and with rays shadows and mirrored things)
+against `--reference`, which comes from the same kernels: it measures sampling, not shading. `edges` is the error where
+a sample of the pixel shows another triangle than its centre (which `msaa` finds), `inside` that of the other pixels.
 
-Modes `shadow` and `whitted` measure what Davidovic et al., '3D Rasterization', Fig. 8, do ('recursive ray tracing with 1
-shadow ray, and 1 reflection ray for every sample'; their 16 x MSAA takes 11 times as long as no antialiasing, their CSAA
-with 4 shading and 12 coverage samples 4.3 times), on the same scenes made like theirs (light_and_mirrors): one point
-light takes the place of a scene's lights, over the eye's right shoulder, so that it shines on nearly all that the eye
-sees; every material is opaque and a mirror over what it is, half of it metal; rays end after one reflection. Rays for
-each shaded sample that hits something, by the counters of `none`, stand below the scene's name: shadow rays from what
-the eye sees and reflection rays from there, one each where the light is before the surface, and shadow rays from what
-the mirrors show besides.
+Modes `shadow` and `whitted` measure what Davidovic et al., '3D Rasterization', Fig. 8, do ('recursive ray tracing with
+1 shadow ray, and 1 reflection ray for every sample'; their 16 x MSAA takes 11 times as long as no antialiasing, their
+CSAA with 4 shading and 12 coverage samples 4.3 times), on the same scenes made like theirs (light_and_mirrors): one
+point light takes the place of a scene's lights, a little above and to the right of the eye, so that it shines on nearly
+all that the eye sees; every material is opaque and a mirror over what it is, half of it metal; rays end after one
+reflection. Rays for each shaded sample that hits something, by the counters of `none`, stand below the scene's name:
+shadow rays from what the eye sees and reflection rays from there, one each where the light is before the surface, and
+shadow rays from what the mirrors show besides.
 """
 
 from __future__ import annotations
@@ -56,10 +56,9 @@ ROOM = "room"
 NAMES = "icosphere,bunny,dragon,sponza inside"
 NAMES_OF_RAYS = "icosphere,bunny,room,sponza inside"
 MODES = "none,msaa:4,msaa:8,msaa:16,csaa:4+12,csaa:8+8,ssaa:4,ssaa:16,auto:0.05,auto:0.01"
-MODES_OF_RAYS = "none,msaa:16/sample,msaa:16,csaa:4+12/sample,csaa:4+12,ssaa:16"
+MODES_OF_RAYS = "none,msaa:16/sample,msaa:16,msaa:16/auto,csaa:4+12/sample,csaa:4+12,csaa:4+12/auto,ssaa:16"
 REFERENCE, REFERENCE_OF_RAYS = "ssaa:1024", "ssaa:256"
 WARM_UP = 2
-AT_EVERY_SAMPLE = "/sample"
 
 Channels = dict[str, np.ndarray]
 
@@ -72,8 +71,8 @@ def light_and_mirrors(scene: Scene, camera: Camera) -> Scene:
     right = np.cross(forward, camera.up)
     right /= np.linalg.norm(right)
     far = float(np.linalg.norm(np.clip(eye, low, high) - eye)) or 0.25 * float(np.linalg.norm(high - low))
-    position = eye + 0.1 * far * (right + np.cross(right, forward) - forward)
-    light = Light("lamp", "point", (3.0 * far * far,) * 3, tuple(float(c) for c in position))  # type: ignore[arg-type]
+    position = eye + 0.03 * far * (right + 2.0 * np.cross(right, forward))
+    light = Light("lamp", "point", (8.0 * far * far,) * 3, tuple(float(c) for c in position))  # type: ignore[arg-type]
 
     def mirrored(material: Material) -> Material:
         mode = "OPAQUE" if material.alpha_mode == "BLEND" else material.alpha_mode
@@ -84,10 +83,10 @@ def light_and_mirrors(scene: Scene, camera: Camera) -> Scene:
 
 def make_job(scene: Scene, camera: Camera, mode: str, options: argparse.Namespace, rays: str) -> RenderJob:
     """rays : the mode in which light is followed."""
+    aa, _, rate = mode.partition("/")
     given = RenderOptions(
-        size=options.size, aa=mode.removesuffix(AT_EVERY_SAMPLE), method=options.method, mode=rays, max_depth=1,
-        shading_rate="sample" if mode.endswith(AT_EVERY_SAMPLE) else "pixel", effects=options.effects,
-        aov=("color",) if rays != "cast" else ("color", "depth"),
+        size=options.size, aa=aa, method=options.method, mode=rays, max_depth=1, shading_rate=rate or "pixel",
+        effects=options.effects, aov=("color",) if rays != "cast" else ("color", "depth"),
     )  # fmt: skip
     plan = plan_effects(scene, given.aov, given.effects, rays)
     return RenderJob(open_device(options.device), scene, camera_vectors(camera, *options.size), given, plan)
@@ -114,7 +113,7 @@ def error_of(found: Channels, reference: Channels, names: str, where: np.ndarray
 
 
 def edges_of(jobs: dict[str, tuple[RenderJob, Channels]]) -> np.ndarray | None:
-    """(height, width) bool: where a sample of the first mode that shares shading shows another triangle than the centre.
+    """(height, width) where a sample of the first mode that shares shading shows another triangle than the centre.
 
     None where no mode does or the image has several bands.
     """
@@ -214,7 +213,8 @@ def main() -> int:
     parser.add_argument("--mode", choices=("cast", "shadow", "whitted"), default="cast", help="[default: cast]")
     parser.add_argument("--scenes", type=names, help=f"[default: {NAMES}; with rays {NAMES_OF_RAYS}]")
     parser.add_argument("--modes", type=names, help=f"[default: {MODES}; with rays {MODES_OF_RAYS}]")
-    parser.add_argument("--reference", help=f"a mode, or none for times alone [{REFERENCE}; with rays {REFERENCE_OF_RAYS}]")
+    reference = f"a mode, or none for times alone [{REFERENCE}; with rays {REFERENCE_OF_RAYS}]"
+    parser.add_argument("--reference", help=reference)
     parser.add_argument("--repetitions", type=int, default=15)
     parser.add_argument("--size", type=lambda text: parse_size("--size", text), help="[1024x1024; with rays 512x512]")
     parser.add_argument("--method", default="3dr-binning")

@@ -82,7 +82,11 @@ Antialiasing = Annotated[
     Texts, _option("--aa", metavar="MODE", text="none [default], ssaa:N, msaa:N, csaa:S+C or auto:EPS.", panel=ACCURACY)
 ]
 ShadingRate = Annotated[
-    Texts, _option("--shading-rate", metavar="RATE", text="pixel [default] or sample.", panel=ACCURACY)
+    Texts,
+    _option(
+        "--shading-rate", metavar="RATE", panel=ACCURACY,
+        text="Of msaa and csaa: pixel [default], sample, or auto: sample where colours of neighbours differ.",
+    ),  # fmt: skip
 ]
 Filter = Annotated[
     Texts,

@@ -43,7 +43,14 @@ def antialiasing_of(options: RenderOptions) -> Antialiasing:
 
 def shares_shading(wanted: Antialiasing, options: RenderOptions, blends: bool) -> bool:
     """Whether samples of one surface share its shading. Where surfaces blend each sample has layers of its own."""
-    return wanted.kind in ("msaa", "csaa") and options.shading_rate == "pixel" and not blends
+    return wanted.kind in ("msaa", "csaa") and not blends and (wanted.kind, options.shading_rate) != ("msaa", "sample")
+
+
+def uses_centers(options: RenderOptions, blends: bool) -> bool:
+    """Whether the colour of pixels' centres takes part in an image; where it does not, no ray need go on from them."""
+    wanted = antialiasing_of(options)
+    shades_all = wanted.kind == "ssaa" or (wanted.kind in ("msaa", "csaa") and options.shading_rate == "sample")
+    return blends or not shades_all
 
 
 def resolver_bytes(options: RenderOptions, blends: bool) -> tuple[int, int]:
@@ -55,7 +62,7 @@ def resolver_bytes(options: RenderOptions, blends: bool) -> tuple[int, int]:
         return AdaptiveSampler.bytes_per_pixel(), STATE_BYTES
     if not shares_shading(wanted, options, blends):
         return Supersampler.bytes_per_pixel(), 20
-    at_worst = options.memory is not None
+    at_worst = options.memory is not None or options.shading_rate != "pixel"
     return Multisampler.bytes_per_pixel(wanted, options.filter, at_worst), max(20, 4 * wanted.depth_count)
 
 
@@ -81,7 +88,7 @@ def make_resolver(
         return AdaptiveSampler(device, features, wanted, color, max_pixels, layers)
     if shares_shading(wanted, options, layers is not None):
         listed = shader.sibling(replace(features, sample_list=True), ("color",), 1)
-        return Multisampler(device, features, wanted, options.filter, listed, max_pixels)
+        return Multisampler(device, features, wanted, options.filter, listed, max_pixels, options.shading_rate)
     color = shader.sibling(features, ("color",), max_pixels)
     # Nothing is shared: csaa shades those samples that have visibility of their own.
     pattern = Pattern(wanted.pattern.name, wanted.pattern.positions[: wanted.depth_count])

@@ -1,11 +1,14 @@
 """Antialiasing with shared shading: visibility at every sample, shading once a pixel and surface (msaa, csaa).
 
+With shading rate `auto` that is so where colours of neighbours are alike; elsewhere each sample that has visibility of
+its own is shaded, and with `sample` (csaa's; msaa's is supersample.py's) everywhere.
 The kernels are cl/share_shading.cl, which says what is one surface, and cl/resolve_samples.cl.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -37,7 +40,8 @@ def surface_distance(view: np.ndarray, projection: Projection) -> float:
 
 
 class Multisampler:
-    """Shares the shading of a band's samples. shader : of colour alone, with features.sample_list."""
+    """Shares the shading of a band's samples. shader : of colour alone, with features.sample_list. rate : one of
+    SHADING_RATES."""
 
     def __init__(
         self,
@@ -47,8 +51,11 @@ class Multisampler:
         filter_name: str,
         shader: Shader,
         max_pixels: int,
+        rate: str = "pixel",
     ) -> None:
-        self.device, self.wanted, self.shader = device, wanted, shader
+        self.device, self.wanted, self.shader, self.rate = device, wanted, shader, rate
+        self._pixels_at_once = max(1, max_pixels // wanted.depth_count)
+        self._footprints = {False: 1.0, True: 1.0 / math.sqrt(wanted.depth_count)}
         self._projection = features.projection
         self.counts: dict[str, int] = {}
         self.own_launches = 0
@@ -60,6 +67,7 @@ class Multisampler:
         self._positions = buffers.upload(device, np.array(packed, dtype=np.uint32))
         self._weights = buffers.upload(device, weight_table(filter_name, wanted.pattern))
         self._sums = buffers.create(device, 20 * max_pixels) if self.reach else None
+        self._varied = buffers.create(device, self.edges.stride) if rate != "pixel" else None
 
     @property
     def launches(self) -> int:
@@ -71,41 +79,73 @@ class Multisampler:
         """Device bytes a pixel of a band takes here; at_worst : where each pixel shows all that it can."""
         surfaces = wanted.depth_count if at_worst else min(TYPICAL_SURFACES, wanted.depth_count)
         of_edge = 4 + len(wanted.pattern) + 1 + 4 + surfaces * (12 + Shader.bytes_per_pixel(("color",)))
-        return 4 * wanted.depth_count + BYTES_PER_PIXEL + of_edge + (20 if reach_of(filter_name) else 0)
+        return 4 * wanted.depth_count + BYTES_PER_PIXEL + 1 + of_edge + (20 if reach_of(filter_name) else 0)
 
     def resolve_band(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, target: Shader) -> None:
         """Replace the colour of a band in `target`, shaded at the centres, by that of its samples. Waits."""
         tiles, timed = passes.tiles, passes.timed
         decided = self.wanted.pattern.positions[: self.wanted.depth_count]
         self.edges.decide(passes, row, rows, pixel_count, decided, decided)
-        edge_count = timed("resolve", partial(self._list_edges, pixel_count))
-        listed_count = timed("resolve", partial(self._list_surfaces, tiles.view, edge_count)) if edge_count else 0
-        if listed_count:
-            lists = self.edges.room("shaded_prims"), listed_count, 0, self.edges.room("places")
-            timed("shade", partial(self.shader.shade, tiles.view, *lists))
-        if edge_count or self.reach:
-            timed("resolve", partial(self._resolve, tiles.view, pixel_count, edge_count, listed_count, target))
-        for name, count in (("edge_pixels", edge_count), ("samples_shaded", pixel_count + listed_count)):
-            self.counts[name] = self.counts.get(name, 0) + count
+        self._count("samples_shaded", pixel_count if self.rate != "sample" else 0)
+        timed("resolve", partial(self._flag, int(tiles.view["width"]), pixel_count, target))
+        if self.rate != "sample":
+            self._share(passes, partial(self.edges.list_flagged, pixel_count), pixel_count, target, parts=False)
+        if self._varied is not None:
+            flagged = partial(self.edges.list_flagged, pixel_count, self._varied)
+            self._share(passes, flagged, pixel_count, target, parts=True)
 
-    def _list_edges(self, pixel_count: int) -> int:
+    def _flag(self, width: int, pixel_count: int, target: Shader) -> None:
+        """Enqueue: flag edge pixels, and apart from them those whose samples are shaded each."""
         self.edges.flag(pixel_count)
-        return self.edges.list_flagged(pixel_count)
+        if self._varied is None:
+            return
+        if self.rate == "sample":
+            buffers.fill(self.device, self._varied, np.uint8(255), pixel_count)
+            return
+        self._launch(
+            "flag_varied", padded(pixel_count), WORK_GROUP, pixel_count=pixel_count, width=width, values=target.values,
+            edge_flags=self.edges.flags, varied_flags=self._varied,
+        )  # fmt: skip
+        self.edges.count_flags(pixel_count)
 
-    def _list_surfaces(self, view: np.ndarray, edge_count: int) -> int:
-        """Surfaces of all samples, and the list of those to be shaded; returns its length. Waits."""
+    def _share(
+        self, passes: SamplePasses, list_pixels: Callable[[], int], pixel_count: int, target: Shader, parts: bool
+    ) -> None:
+        """Shade the surfaces of the pixels that are listed, or (`parts`) their samples, and resolve the pixels."""
+        view, timed = passes.tiles.view, passes.timed
+        edge_count = timed("resolve", list_pixels)
+        at_once = self._pixels_at_once if parts else edge_count
+        self.shader.footprint = self._footprints[parts]
+        for first in range(0, edge_count, max(1, at_once)):
+            count = min(at_once, edge_count - first)
+            listed_count = timed("resolve", partial(self._list_surfaces, view, first, count, parts))
+            if listed_count:
+                lists = self.edges.room("shaded_prims"), listed_count, 0, self.edges.room("places")
+                timed("shade", partial(self.shader.shade, view, *lists))
+            timed("resolve", partial(self._resolve, view, pixel_count, first, count, listed_count, target))
+            self._count("samples_shaded", listed_count)
+        if not edge_count and self.reach:
+            timed("resolve", partial(self._resolve, view, pixel_count, 0, 0, 0, target))
+        self._count("pixels_parted" if parts else "edge_pixels", edge_count)
+
+    def _count(self, name: str, count: int) -> None:
+        self.counts[name] = self.counts.get(name, 0) + count
+
+    def _list_surfaces(self, view: np.ndarray, first: int, edge_count: int, parts: bool) -> int:
+        """Surfaces of the samples of listed pixels from `first` on, and the list of those to be shaded; returns its
+        length. Waits."""
         room = self.edges.room
         of_samples = {
             "edge_count": edge_count, "depth_count": self.wanted.depth_count,
             "sample_count": len(self.wanted.pattern), "prim_stride": self.edges.stride,
-            "sample_positions": self._positions, "edge_pixels": room("edge_pixels"),
+            "sample_positions": self._positions, "edge_pixels": room("edge_pixels"), "first_edge": first,
             "sample_prims": self.edges.prims, "surfaces": room("surfaces", edge_count * len(self.wanted.pattern)),
             "new_surfaces": room("new_surfaces", edge_count),
         }  # fmt: skip
         geometry = self.shader.geometry
         self._launch(
             "group_samples", padded(edge_count), WORK_GROUP, view=view,
-            surface_distance=surface_distance(view, self._projection), center_prims=self.edges.center,
+            parts=int(parts), surface_distance=surface_distance(view, self._projection), center_prims=self.edges.center,
             positions=geometry.positions, indices=geometry.indices,
             **self.shader.surfaces.named("object_ids", "material_ids"), **of_samples,
         )  # fmt: skip
@@ -118,14 +158,16 @@ class Multisampler:
         self.shader.make_room(count)
         return count
 
-    def _resolve(self, view: np.ndarray, pixel_count: int, edge_count: int, listed_count: int, target: Shader) -> None:
+    def _resolve(
+        self, view: np.ndarray, pixel_count: int, first: int, edge_count: int, listed_count: int, target: Shader
+    ) -> None:
         shared = {
             "pixel_count": pixel_count, "sample_count": len(self.wanted.pattern), "listed_count": listed_count,
             "surfaces": self.edges.room("surfaces"), "first_surfaces": self.edges.room("first_surfaces"),
             "shaded": self.shader.values, "values": target.values,
         }  # fmt: skip
         if not self.reach:
-            edges = {"edge_count": edge_count, "edge_pixels": self.edges.room("edge_pixels")}
+            edges = {"edge_count": edge_count, "edge_pixels": self.edges.room("edge_pixels"), "first_edge": first}
             self._resolving.launch("resolve_surfaces", padded(edge_count), WORK_GROUP, **edges, **shared)
             self.own_launches += 1
             return

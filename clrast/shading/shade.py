@@ -108,13 +108,15 @@ class Shader:
         return 4 * len(channel_names(groups)) + (8 if "id" in groups else 0) + 1
 
     def shade(
-        self, view: np.ndarray, visible_prims: Any, pixel_count: int, layer: int, places: Any | None = None
-    ) -> None:
+        self, view: np.ndarray, visible_prims: Any, pixel_count: int, layer: int, places: Any | None = None,
+        follows: bool = True,
+    ) -> None:  # fmt: skip
         """Enqueue the shading of one layer of a band; layers after the first only add colour behind it.
 
         Where rays go on from hits, waits for them.
 
         places : with features.sample_list [pixel_count] uint2, which samples: pixel of the band, place in it.
+        follows : whether rays go on from hits at all; without them colour is not to be used.
         """
         self._program.launch(
             "shade_hits",
@@ -137,7 +139,7 @@ class Shader:
             open_pixels=self.open_pixels,
         )
         self.launches += 1
-        if self.integrator is not None:
+        if self.integrator is not None and follows:
             color = int(self._planes["color"])
             self.integrator.gather(visible_prims, self._hits, pixel_count, self.values, color)
 
