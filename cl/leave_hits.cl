@@ -72,23 +72,22 @@ kernel void leave_hits(
   origins[ray] = (float4)(origin.xyz, 0.0f);
   directions[ray] = (float4)(direction.xyz, origin.w > 0.0f ? direction.w : 0.0f);
   excluded[ray] = prim_id;
-  ray_keys[ray] = key_of_ray(item_keys[item], seed, depth, false);
+  ray_keys[ray] = FIRST_LANE(keys_of_rays((uint_v)(item_keys[item]), seed, depth, false));
 }
 
-// Reads: sources (list_edge_pixels), slot_ends, slot_lamps (aim_at_light), items (shade_hits, arrive). Writes: rays for
-// trace_any, side by side. Work item: one ray. Local memory: 0 bytes.
+// Reads: slot_ends, slot_lamps (aim_at_light), items (shade_hits, arrive). Writes: rays for trace_any, one of each item.
+// Work item: one ray. Local memory: 0 bytes.
 kernel void leave_for_light(
     uint ray_count,
     uint is_first,                                  // 1: hits of the camera's samples
     uint seed,                                      // of random numbers
     uint depth,                                     // generation
-    global const uint *restrict sources,            // [ray_count] item of each ray
-    global const uint *restrict item_prims,         // [item_count] prim_id that its rays leave
-    global const float4 *restrict item_weights,     // [item_count] barycentrics of the point
-    global const float4 *restrict item_positions,   // [item_count] world space; w of the first generation: doubt
-    global const uint *restrict item_keys,          // [item_count] of random numbers
-    global const float4 *restrict slot_ends,        // [item_count] w 1: xyz is a point; 0: a direction
-    global const uint *restrict slot_lamps,         // [item_count] slot of the emissive triangle that it is on, or NO_HIT
+    global const uint *restrict item_prims,         // [ray_count] prim_id that the ray leaves, or NO_HIT
+    global const float4 *restrict item_weights,     // [ray_count] barycentrics of the point
+    global const float4 *restrict item_positions,   // [ray_count] world space; w of the first generation: doubt
+    global const uint *restrict item_keys,          // [ray_count] of random numbers
+    global const float4 *restrict slot_ends,        // [ray_count] w 1: xyz is a point; 0: a direction, (0, 0, 0): no ray
+    global const uint *restrict slot_lamps,         // [ray_count] slot of the emissive triangle that it is on, or NO_HIT
     global const float4 *restrict positions,        // [vertex_count] world space
     global const uint *restrict indices,            // [3 * triangle_count] vertices
     global float4 *restrict origins,                // [ray_count] xyz; w t_min 0
@@ -100,11 +99,13 @@ kernel void leave_for_light(
 {
   const uint ray = get_global_id(0);
   if (ray >= ray_count) return;
-  const uint item = sources[ray], prim_id = item_prims[item];
-  const float4 end = slot_ends[item], position = item_positions[item];
+  const uint prim_id = item_prims[ray] == NO_HIT ? 0 : item_prims[ray];
+  const float4 end = slot_ends[ray], position = item_positions[ray];
   const bool to_point = end.w > 0.0f;
   const float4 way = to_point ? end - position : end;
-  const float4 origin = leave_item(corners_of_prim(positions, indices, prim_id), item_weights[item], position, is_first, way);
+  float4 origin = (float4)(0.0f);
+  if (way.x != 0.0f || way.y != 0.0f || way.z != 0.0f)
+    origin = leave_item(corners_of_prim(positions, indices, prim_id), item_weights[ray], position, is_first, way);
   const float4 aim = to_point ? end - origin : end;
   const float size = max(fabs(aim.x), max(fabs(aim.y), fabs(aim.z)));
   const bool goes = origin.w > 0.0f && size >= LEAST_WAY && size <= LARGEST_WAY;
@@ -112,6 +113,6 @@ kernel void leave_for_light(
   directions[ray] = (float4)(aim.xyz, goes ? (to_point ? 1.0f : INFINITY) : 0.0f);
   excluded[ray] = prim_id;
   ends[ray] = end;
-  lamp_slots[ray] = slot_lamps[item];
-  ray_keys[ray] = key_of_ray(item_keys[item], seed, depth, true);
+  lamp_slots[ray] = slot_lamps[ray];
+  ray_keys[ray] = FIRST_LANE(keys_of_rays((uint_v)(item_keys[ray]), seed, depth, true));
 }

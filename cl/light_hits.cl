@@ -2,7 +2,7 @@
 //
 // Purcell et al., section 3 and Fig. 3 (shadow caster, Whitted, path tracer). For each light in its order, or in paths for
 // one light that is drawn:
-//   aim_at_light: a ray from each live item towards the light, with the light that it would bring
+//   aim_at_light: a ray from each live item towards the light, with the light that it would bring; of dead ones an empty ray
 //   leave_hits.cl, trace_rays.cl: where each begins; which rays meet something on the way
 //   add_light: the light of the others
 // In paths a light is drawn by its power: punctual lights, and emissive triangles, on which a point is drawn; what they
@@ -16,21 +16,77 @@
 #include "sampling.clh"
 #include "ray_items.clh"
 
-static inline float power_weight(float a, float b) {
-  const float larger = max(a, b);
-  if (!(larger > 0.0f)) return 0.0f;
-  const float x = a / larger, y = b / larger;
-  return x * x / (x * x + y * y);
+INLINE float_v power_weight(float_v a, float_v b) {
+  const float_v larger = max(a, b), x = a / larger, y = b / larger;
+  return larger > 0.0f ? x * x / (x * x + y * y) : (float_v)(0.0f);
 }
 
-// Density over directions of drawing the point of an emissive triangle that is seen along l at a distance.
-static inline float density_of_emitter(const Mesh *mesh, Material material, SurfacePoint at, float4 l, float distance2, float inverse_power) {
-  const float4 p0 = mesh->positions[at.i0];
-  const float4 e = mesh->positions[at.i1] - p0, f = mesh->positions[at.i2] - p0;
+// Density over directions of drawing points of emissive triangles that are seen along l at a distance.
+INLINE float_v density_of_emitters(Vec3 face_normal, Vec3 emissive, Vec3 l, float_v distance2, float inverse_power) {
+  const float_v cosine = fabs(dot3(face_normal, l));
+  const float_v strength = ((emissive.x + emissive.y) + emissive.z) * inverse_power;
+  return cosine > 0.0f ? strength * distance2 / cosine : (float_v)(0.0f);  // the triangle's area cancels
+}
+
+// Reads: positions, indices. Writes: face_normals (for the kernels that load places). Work item: one triangle. Local
+// memory: 0 bytes.
+kernel void find_face_normals(
+    uint triangle_count,
+    global const float4 *restrict positions,       // [vertex_count] world space
+    global const uint *restrict indices,           // [3 * triangle_count]
+    global float4 *restrict face_normals)          // [triangle_count] unit, or 0 where it has no area
+{
+  const uint prim_id = get_global_id(0);
+  if (prim_id >= triangle_count) return;
+  global const uint *vertices = indices + 3 * (size_t)prim_id;
+  const float4 p0 = positions[vertices[0]];
+  const float4 e = positions[vertices[1]] - p0, f = positions[vertices[2]] - p0;
   const float4 cross_product = {e.y * f.z - e.z * f.y, e.z * f.x - e.x * f.z, e.x * f.y - e.y * f.x, 0.0f};
-  const float cosine = fabs(dot_f4(unit(cross_product), l));
-  const float strength = ((material.emissive.x + material.emissive.y) + material.emissive.z) * inverse_power;
-  return cosine > 0.0f ? strength * distance2 / cosine : 0.0f;  // the triangle's area cancels
+  face_normals[prim_id] = unit(cross_product);
+}
+
+INLINE Vec3 emissive_of(Surfaces surfaces, const Places *at) {
+  float x[VECTOR_WIDTH], y[VECTOR_WIDTH], z[VECTOR_WIDTH];
+#pragma unroll
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
+    const float4 own = surfaces.materials[surfaces.material_ids[at->prim[lane]]].emissive;
+    x[lane] = own.x;
+    y[lane] = own.y;
+    z[lane] = own.z;
+  }
+  const Vec3 emissive = {LOAD_V(x), LOAD_V(y), LOAD_V(z)};
+  return emissive;
+}
+
+// Radiance that the lanes' surfaces emit, in those of the mask.
+INLINE Vec3 emitted_by(const Items *items, const Mesh *mesh, Surfaces surfaces, const Places *at, int_v wanted) {
+  float x[VECTOR_WIDTH] = {0}, y[VECTOR_WIDTH] = {0}, z[VECTOR_WIDTH] = {0};
+  for (ulong mask = LANE_MASK(wanted); mask != 0; mask &= mask - 1) {
+    const uint lane = first_lane(mask);
+    const Material material = surfaces.materials[surfaces.material_ids[at->prim[lane]]];
+    const float4 emitted = emitted_light(surfaces, material, point_of_lane(items, mesh, at, lane));
+    x[lane] = emitted.x;
+    y[lane] = emitted.y;
+    z[lane] = emitted.z;
+  }
+  const Vec3 emitted = {LOAD_V(x), LOAD_V(y), LOAD_V(z)};
+  return emitted;
+}
+
+// Whether a live item may have light of its own: an emissive or unlit surface, or any where there are no lights.
+INLINE bool find_shining(const Items *items, Surfaces surfaces, uint first, uint count, Places *at) {
+  if (!has_lane(find_live(items, first, count, at))) return false;
+#if LIT || INDIRECT
+  if (items->is_first) return false;
+  bool shines = false;
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
+    global const Material *own = surfaces.materials + surfaces.material_ids[at->prim[lane]];
+    shines = shines || (own->flags & MATERIAL_UNLIT) != 0 || largest_of(own->emissive) > 0.0f;
+  }
+  return shines;
+#else
+  return true;
+#endif
 }
 
 // Reads: items (shade_hits, arrive). Writes: radiances: what items have without any light being asked. Work item: one
@@ -54,6 +110,7 @@ kernel void begin_light(
     global const float4 *restrict positions,       // [vertex_count] world space
     global const uint *restrict indices,           // [3 * triangle_count]
     global const float4 *restrict normals,         // [vertex_count] unit or 0
+    global const float4 *restrict face_normals,    // [triangle_count] unit or 0
     global const float2 *restrict uv,              // [vertex_count]
     global const float2 *restrict uv1,             // [vertex_count]
     global const float4 *restrict colors,          // [vertex_count] linear
@@ -64,41 +121,50 @@ kernel void begin_light(
     global const float *restrict srgb_to_linear,   // [256]
     global float4 *restrict radiances)             // [item_count] RGB, weighted for the pixel
 {
-  const uint item = get_global_id(0);
-  if (item >= item_count) return;
+  const uint first = get_global_id(0) * VECTOR_WIDTH;
+  if (first >= item_count) return;
   const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first
 #if FOOTPRINTS
                        , item_footprints
 #endif
   };
-  const Mesh mesh = {positions, indices, normals};
+  const Mesh mesh = {positions, indices, normals, face_normals};
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
-  Place place;
-  float4 radiance = (float4)(0.0f);
-  if (load_place(&items, &mesh, surfaces, item, &place)) {
-    const bool unlit = place.is_unlit;
-    if (!is_first && unlit) radiance = place.base * place.alpha;
+  const uint lanes = min(item_count - first, (uint)VECTOR_WIDTH);
+  float4 found[VECTOR_WIDTH];
+  for (uint lane = 0; lane < lanes; ++lane) {
+    const bool lost = !is_first && items.prims[first + lane] == NO_HIT;
+    found[lane] = (float4)(0.0f);
+    if (lost) found[lane] = item_throughput(&items, first + lane) * (float4)(environment_r, environment_g, environment_b, 0.0f);
+  }
+  Places at;
+  if (find_shining(&items, surfaces, first, item_count, &at) && load_places(&items, &mesh, surfaces, first, item_count, &at)) {
+    const Vec3 base = at.finish.base, none = fill3((float_v)(0.0f));
+    Vec3 radiance = none;
+    const int_v is_arrived = is_first ? (LANES < 0) : (LANES >= 0);
+    radiance = select3(is_arrived & at.is_unlit, scale3(base, at.alpha), radiance);
 #if EMISSION
-    if (!is_first && !unlit) {
-      float share = place.alpha;
+    const Vec3 emitted = emitted_by(&items, &mesh, surfaces, &at, at.is_live & is_arrived & (at.is_unlit == 0));
+    float_v share = at.alpha;
 #if INDIRECT
-      if (place.drawn_density > 0.0f) {
-        const float4 way = place.position - item_origins[item];
-        share *= power_weight(place.drawn_density, density_of_emitter(&mesh, place.material, place.at, place.direction, dot_f4(way, way), inverse_power));
-      }
+    float_v unused;
+    const Vec3 way = subtract(at.position, gather_points(item_origins, at.item, &unused));
+    const Vec3 face_normal = gather_points(face_normals, at.prim, &unused);
+    const float_v density = density_of_emitters(face_normal, emissive_of(surfaces, &at), at.direction, dot3(way, way), inverse_power);
+    share *= at.drawn_density > 0.0f ? power_weight(at.drawn_density, density) : (float_v)(1.0f);
 #endif
-      radiance = emitted_light(surfaces, place.material, place.at) * share;
-    }
+    radiance = select3(is_arrived & (at.is_unlit == 0), scale3(emitted, share), radiance);
 #endif
 #if !LIT && !INDIRECT
-    const float diffuse = place.is_smooth ? (1.0f - place.material.metallic) * opaque_share(&place) : 1.0f;
-    if (!unlit) radiance += place.base * (fabs(dot_f4(place.n, place.to_viewer)) * diffuse * place.alpha);
+    const float_v diffuse = at.is_smooth ? (1.0f - at.finish.metallic) * opaque_share(&at) : (float_v)(1.0f);
+    const Vec3 head = scale3(base, fabs(dot3(at.n, at.to_viewer)) * diffuse * at.alpha);
+    radiance = select3(at.is_unlit, radiance, add(radiance, head));
 #endif
-    radiance *= place.throughput;
-  } else if (!is_first && item_prims[item] == NO_HIT) {
-    radiance = item_throughput(&items, item) * (float4)(environment_r, environment_g, environment_b, 0.0f);
+    float4 brought[VECTOR_WIDTH];
+    list_points(multiply3(radiance, at.throughput), (float_v)(0.0f), brought);
+    for (ulong mask = LANE_MASK(at.is_live); mask != 0; mask &= mask - 1) found[first_lane(mask)] = brought[first_lane(mask)];
   }
-  radiances[item] = radiance;
+  for (uint lane = 0; lane < lanes; ++lane) radiances[first + lane] = found[lane];
 }
 
 #if INDIRECT
@@ -113,22 +179,49 @@ static inline float emitting_share(Surfaces surfaces, Material material, Surface
   return 1.0f;
 }
 
-// Light from a point that is drawn on an emissive triangle. is_last: no ray goes on that could find it by chance.
-// *end: the point, w 1.
-static float4 light_of_emitter(const Place *place, const Mesh *mesh, Surfaces surfaces, uint prim_id, float2 u, float inverse_power, bool is_last, float4 *end) {
-  global const uint *vertices = mesh->indices + 3 * (size_t)prim_id;
-  const float root = sqrt(u.x), b0 = 1.0f - root, b1 = u.y * root;
-  const SurfacePoint at = {prim_id, vertices[0], vertices[1], vertices[2], b0, b1, max((1.0f - b0) - b1, 0.0f)};
-  const float4 point = (mesh->positions[at.i0] * at.b0 + mesh->positions[at.i1] * at.b1) + mesh->positions[at.i2] * at.b2;
-  const float4 way = point - place->position, l = unit(way);
-  *end = (float4)(point.xyz, 1.0f);
-  if (!(dot_f4(place->g, l) > 0.0f)) return (float4)(0.0f);
-  const Material material = surfaces.materials[surfaces.material_ids[prim_id]];
-  const float density = density_of_emitter(mesh, material, at, l, dot_f4(way, way), inverse_power);
-  if (!(density > 0.0f)) return (float4)(0.0f);
-  const float found = is_last ? 1.0f : power_weight(density, density_of(place, l));
-  const float share = found * emitting_share(surfaces, material, at) / density;
-  return emitted_light(surfaces, material, at) * reflected(place->material, place->base, place->n, place->to_viewer, l, !place->is_smooth) * share;
+// Radiance that points of emissive triangles send, in the lanes of the mask; *share: as emitting_share.
+INLINE Vec3 emitted_at(Surfaces surfaces, const Mesh *mesh, const Places *lamp, Vec3 weights, int_v wanted, Vec3 emissive, float_v *share) {
+#if TEXTURES || ALPHA_MASK || ALPHA_BLEND
+  float4 listed[VECTOR_WIDTH];
+  list_points(weights, (float_v)(0.0f), listed);
+  float x[VECTOR_WIDTH] = {0}, y[VECTOR_WIDTH] = {0}, z[VECTOR_WIDTH] = {0}, shares[VECTOR_WIDTH] = {0};
+  for (ulong mask = LANE_MASK(wanted); mask != 0; mask &= mask - 1) {
+    const uint lane = first_lane(mask), prim_id = lamp->prim[lane];
+    global const uint *v = mesh->indices + 3 * (size_t)prim_id;
+    const SurfacePoint point = {prim_id, v[0], v[1], v[2], listed[lane].x, listed[lane].y, listed[lane].z};
+    const Material material = surfaces.materials[surfaces.material_ids[prim_id]];
+    const float4 emitted = emitted_light(surfaces, material, point);
+    shares[lane] = emitting_share(surfaces, material, point);
+    x[lane] = emitted.x;
+    y[lane] = emitted.y;
+    z[lane] = emitted.z;
+  }
+  const Vec3 all = {LOAD_V(x), LOAD_V(y), LOAD_V(z)};
+  *share = LOAD_V(shares);
+  return all;
+#else
+  *share = (float_v)(1.0f);
+  return emissive;
+#endif
+}
+
+// Light from points that are drawn on emissive triangles. is_last: no ray goes on that could find them by chance.
+// *end: the points.
+INLINE Vec3 light_of_emitters(const Places *at, const Mesh *mesh, Surfaces surfaces, Places *lamp, int_v wanted, Numbers u, float inverse_power, bool is_last, Vec3 *end) {
+  const float_v root = sqrt(u.x), b0 = 1.0f - root, b1 = u.y * root;
+  const Vec3 weights = {b0, b1, max((1.0f - b0) - b1, 0.0f)};
+  *end = weigh3(gather_vertices(mesh->positions, mesh, lamp, 0), gather_vertices(mesh->positions, mesh, lamp, 1),
+                gather_vertices(mesh->positions, mesh, lamp, 2), weights);
+  const Vec3 way = subtract(*end, at->position), l = unit3(way);
+  float_v unused;
+  const Vec3 emissive = emissive_of(surfaces, lamp), face_normal = gather_points(mesh->face_normals, lamp->prim, &unused);
+  const float_v density = density_of_emitters(face_normal, emissive, l, dot3(way, way), inverse_power);
+  const float_v found = is_last ? (float_v)(1.0f) : power_weight(density, density_of(at, l));
+  const int_v is_seen = wanted & (dot3(at->g, l) > 0.0f) & (density > 0.0f);
+  float_v emitting = (float_v)(1.0f);
+  const Vec3 emitted = emitted_at(surfaces, mesh, lamp, weights, is_seen, emissive, &emitting);
+  const Vec3 sent = reflected_by(at->finish, at->n, at->to_viewer, l, at->is_smooth == 0);
+  return select3(is_seen, scale3(multiply3(emitted, sent), found * emitting / density), fill3((float_v)(0.0f)));
 }
 
 // The light that u draws by its power: the last whose running sum begins at u or below.
@@ -139,6 +232,31 @@ static inline uint draw_light(global const float *sums, uint count, float u) {
     if (sums[middle] <= u) low = middle; else high = middle;
   }
   return low;
+}
+#endif
+
+// What light would bring to the lanes' items, and where it comes from: a point, or where to_point is 0 a direction.
+typedef struct { Vec3 radiance, end; float_v to_point; } Aim;
+
+#if LIT
+// Light of the punctual lights that lanes ask; other lanes stay as they are.
+INLINE void aim_at_punctual(const Places *at, global const Light *lights, uint light_count, const uint *asked, Aim *aim) {
+  float4 places[VECTOR_WIDTH], brought[VECTOR_WIDTH], ways[VECTOR_WIDTH], ends[VECTOR_WIDTH];
+  list_points(at->position, (float_v)(0.0f), places);
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
+    brought[lane] = ways[lane] = ends[lane] = (float4)(0.0f);
+    if (asked[lane] >= light_count) continue;
+    const Light source = lights[asked[lane]];
+    brought[lane] = incoming(source, places[lane], ways + lane);
+    ends[lane] = source.kind == LIGHT_DIRECTIONAL ? ways[lane] : (float4)(source.position.xyz, 1.0f);
+  }
+  float_v unused, to_point;
+  const Vec3 to_light = join_points(ways, &unused), arriving = join_points(brought, &unused), end = join_points(ends, &to_point);
+  const int_v is_punctual = LOAD_V(asked) < light_count, is_seen = dot3(at->g, to_light) > 0.0f;
+  const Vec3 sent = multiply3(arriving, reflected_by(at->finish, at->n, at->to_viewer, to_light, at->is_smooth == 0));
+  aim->radiance = select3(is_punctual, select3(is_seen, sent, fill3((float_v)(0.0f))), aim->radiance);
+  aim->end = select3(is_punctual, end, aim->end);
+  aim->to_point = is_punctual ? to_point : aim->to_point;
 }
 #endif
 
@@ -168,6 +286,7 @@ kernel void aim_at_light(
     global const float4 *restrict positions,       // [vertex_count] world space
     global const uint *restrict indices,           // [3 * triangle_count]
     global const float4 *restrict normals,         // [vertex_count] unit or 0
+    global const float4 *restrict face_normals,    // [triangle_count] unit or 0
     global const float2 *restrict uv,              // [vertex_count]
     global const float2 *restrict uv1,             // [vertex_count]
     global const float4 *restrict colors,          // [vertex_count] linear
@@ -185,62 +304,78 @@ kernel void aim_at_light(
     global float4 *restrict slot_radiances,        // [item_count] RGB that arrives in the pixel, if nothing is in the way
     global uchar *restrict slot_kinds)             // [item_count] 1: a ray, 0: none
 {
-  const uint item = get_global_id(0);
-  if (item >= item_count) return;
+  const uint first = get_global_id(0) * VECTOR_WIDTH;
+  if (first >= item_count) return;
   const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first
 #if FOOTPRINTS
                        , item_footprints
 #endif
   };
-  const Mesh mesh = {positions, indices, normals};
+  const Mesh mesh = {positions, indices, normals, face_normals};
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
-  Place place;
-  slot_kinds[item] = 0;
-  if (!load_place(&items, &mesh, surfaces, item, &place) || place.is_unlit) return;
-  float share = 1.0f;
-  float4 radiance = (float4)(0.0f), end = (float4)(0.0f);
-  uint lamp = NO_HIT;
+  const uint lanes = min(item_count - first, (uint)VECTOR_WIDTH);
+  Places at;
+  if (!load_places(&items, &mesh, surfaces, first, item_count, &at)) {
+    for (uint lane = 0; lane < lanes; ++lane) {
+      slot_kinds[first + lane] = 0;
+      slot_lamps[first + lane] = NO_HIT;
+      slot_ends[first + lane] = (float4)(0.0f);
+    }
+    return;
+  }
+  uint drawn[VECTOR_WIDTH], lamp_slots[VECTOR_WIDTH];
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
+    drawn[lane] = light;
+    lamp_slots[lane] = NO_HIT;
+  }
+  float_v share = (float_v)(1.0f);
+  Aim aim = {fill3((float_v)(0.0f)), fill3((float_v)(0.0f)), (float_v)(0.0f)};
 #if INDIRECT
+  const uint_v keys = hash_pairs(gather_words(item_keys, at.item), (uint_v)(seed));
   const uint dimension = depth * PAIRS_OF_HIT;
-  const uint key = hash_pair(item_keys[item], seed);
-  const float picked = draw_pair(key, path, dimension).x;
-  light = draw_light(power_sums, light_count + emitter_count, picked);
-  share = 1.0f / (power_sums[light + 1] - power_sums[light]);
-  if (light >= light_count) {
-    const uint emitter = light - light_count;
-    radiance = light_of_emitter(&place, &mesh, surfaces, emitters[emitter], draw_pair(key, path, dimension + 1), inverse_power, is_last != 0, &end);
-    share = 1.0f;
-    lamp = emitter_slots[emitter];
+  float picked[VECTOR_WIDTH], shares[VECTOR_WIDTH];
+  Places lamp;
+  STORE_V(draw_pairs(keys, path, dimension).x, picked);
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
+    const uint one = draw_light(power_sums, light_count + emitter_count, picked[lane]);
+    const bool is_emitter = one >= light_count;
+    drawn[lane] = one;
+    shares[lane] = is_emitter ? 1.0f : 1.0f / (power_sums[one + 1] - power_sums[one]);
+    lamp.prim[lane] = is_emitter ? emitters[one - light_count] : 0;
+    lamp_slots[lane] = is_emitter ? emitter_slots[one - light_count] : NO_HIT;
+  }
+  share = LOAD_V(shares);
+  const int_v is_emitter = LOAD_V(drawn) >= light_count;
+  if (has_lane(is_emitter)) {
+    aim.radiance = light_of_emitters(&at, &mesh, surfaces, &lamp, is_emitter, draw_pairs(keys, path, dimension + 1), inverse_power, is_last != 0, &aim.end);
+    aim.to_point = (float_v)(1.0f);
   }
 #endif
-  if (light < light_count) {
-    float4 to_light;
-    const Light source = lights[light];
-    const float4 arriving = incoming(source, place.position, &to_light);
-    end = source.kind == LIGHT_DIRECTIONAL ? to_light : (float4)(source.position.xyz, 1.0f);
-    if (dot_f4(place.g, to_light) > 0.0f)
-      radiance = arriving * reflected(place.material, place.base, place.n, place.to_viewer, to_light, !place.is_smooth);
-  }
-  radiance *= place.throughput * (share * place.alpha * opaque_share(&place));
-  const float4 way = end.w > 0.0f ? end - place.position : end;
-  const float size = max(fabs(way.x), max(fabs(way.y), fabs(way.z)));
-  if (!(largest_of(radiance) > 0.0f) || !(size >= LEAST_WAY) || !(size <= LARGEST_WAY)) return;
-  slot_ends[item] = end;
-  slot_lamps[item] = lamp;
-  slot_radiances[item] = radiance;
-  slot_kinds[item] = 1;
+#if LIT
+  aim_at_punctual(&at, lights, light_count, drawn, &aim);
+#endif
+  aim.radiance = multiply3(aim.radiance, scale3(at.throughput, share * at.alpha * opaque_share(&at)));
+  const Vec3 way = select3(aim.to_point > 0.0f, subtract(aim.end, at.position), aim.end);
+  const float_v size = largest3(sizes3(way));
+  const int_v goes = at.is_live & (at.is_unlit == 0) & (largest3(aim.radiance) > 0.0f) & (size >= LEAST_WAY) & (size <= LARGEST_WAY);
+  store_points(slot_ends, first, item_count, 1, 0, select3(goes, aim.end, fill3((float_v)(0.0f))), goes ? aim.to_point : (float_v)(0.0f));
+  store_points(slot_radiances, first, item_count, 1, 0, aim.radiance, (float_v)(0.0f));
+  store_words(slot_lamps, first, item_count, goes ? LOAD_V(lamp_slots) : (uint_v)(NO_HIT));
+  int kinds[VECTOR_WIDTH];
+  STORE_V(goes, kinds);
+  for (uint lane = 0; lane < lanes; ++lane) slot_kinds[first + lane] = kinds[lane] != 0;
 }
 
-// Reads: sources (list_edge_pixels), occluded (trace_any, or 0 where light casts no shadow), slot_radiances. Writes:
-// radiances of the items that the light reaches; a ray of each item at most. Work item: one ray. Local memory: 0 bytes.
+// Reads: occluded (trace_any, or 0 where light casts no shadow), slot_kinds, slot_radiances. Writes: radiances of the items
+// that the light reaches. Work item: one item. Local memory: 0 bytes.
 kernel void add_light(
-    uint ray_count,
-    global const uint *restrict sources,           // [ray_count] item of each ray
-    global const uint *restrict occluded,          // [ray_count] 1: something is in the way
+    uint item_count,
+    global const uint *restrict occluded,          // [item_count] 1: something is in the way
+    global const uchar *restrict slot_kinds,       // [item_count] 1: a ray, 0: none
     global const float4 *restrict slot_radiances,  // [item_count]
     global float4 *restrict radiances)             // [item_count]
 {
-  const uint ray = get_global_id(0);
-  if (ray >= ray_count || occluded[ray]) return;
-  radiances[sources[ray]] += slot_radiances[sources[ray]];
+  const uint item = get_global_id(0);
+  if (item >= item_count || !slot_kinds[item] || occluded[item]) return;
+  radiances[item] += slot_radiances[item];
 }

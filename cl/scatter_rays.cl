@@ -6,8 +6,7 @@
 //   list_samples.cl, leave_hits.cl, trace_rays.cl: those that are there, in order; where each begins; what it hits
 //   arrive: the next generation's items; where textures are filtered with what a pixel covers of them
 // Then add_to_samples sums what the items brought. The order of all sums is that of the items: no bit depends on
-// threads. Paths (INDIRECT) draw one ray at a hit, in proportion to what it brings where that is known, and end by
-// Russian roulette (Arvo and Kirk 1990).
+// threads.
 // Good at: few bounces of all pixels at once. Bad at: memory (a ray of each pixel). Tests: tests/test_modes.py.
 
 #define FOOTPRINTS DERIVATIVES
@@ -16,95 +15,47 @@
 #include "elementary.clh"
 #include "sampling.clh"
 #include "ray_items.clh"
+#include "scattered_rays.clh"
 #if FOOTPRINTS
 #include "ray_differentials.clh"
 #endif
 
-typedef struct { float4 direction, throughput; float density; uchar kind; } Scattered;
-
-// Mirrored at n; where that leads into the surface, at its plane in place of the interpolated normal.
-static float4 mirror_direction(const Place *place) {
-  const float4 d = place->direction;
-  const float4 r = d - place->n * (2.0f * dot_f4(d, place->n));
-  if (dot_f4(place->g, r) > 0.0f) return unit(r);
-  return unit(d - place->g * (2.0f * dot_f4(d, place->g)));
-}
-
-static Scattered mirrored(const Place *place, float4 share) {
-  const Scattered ray = {mirror_direction(place), place->throughput * share, 0.0f, RAY_REFLECTED};
-  return ray;
-}
-
-static Scattered refracted(const Place *place, const Interface *at, float4 share) {
-  const float4 bent = place->direction * at->ratio + place->n * (at->ratio * at->cosine - at->inner);
-  const bool enters = dot_f4(place->g, bent) < 0.0f;  // else a shading normal bends it outwards: straight on
-  const Scattered ray = {enters ? unit(bent) : place->direction, place->throughput * share, 0.0f, RAY_REFRACTED};
-  return ray;
-}
-
-#if INDIRECT
-static Scattered nowhere(void) {
-  const Scattered ray = {(float4)(0.0f), (float4)(0.0f), 0.0f, 0};
-  return ray;
-}
-
-static Scattered draw_diffuse(const Place *place, float2 u, float4 share) {
-  const float4 l = draw_cosine(place->n, u);
-  if (!(dot_f4(place->g, l) > 0.0f)) return nowhere();
-  const Scattered ray = {l, place->throughput * place->base * share, density_of(place, l), RAY_INDIRECT};
-  return ray;
-}
-
-static Scattered draw_rough(const Place *place, float2 u, float choice) {
-  const float glossy = glossy_share(place), alpha = lobe_alpha(place->material);
-  float4 l;
-  if (choice < glossy) {
-    const float4 h = draw_normal(place->n, place->to_viewer, alpha, u);
-    l = unit(h * (2.0f * dot_f4(place->to_viewer, h)) - place->to_viewer);
-  } else {
-    l = draw_cosine(place->n, u);
-  }
-  const float cosine = dot_f4(place->n, l);
-  if (!(cosine > 0.0f) || !(dot_f4(place->g, l) > 0.0f)) return nowhere();
-  const float density = glossy * density_of_normal(place->n, place->to_viewer, l, alpha) + (1.0f - glossy) * cosine / PI;
-  const float4 sent = reflected(place->material, place->base, place->n, place->to_viewer, l, true);
-  const Scattered ray = {l, place->throughput * sent / density, density_of(place, l), RAY_INDIRECT};
-  return ray;
-}
-
-// One ray, drawn. choice: of the ways to go on; u: the direction.
-static Scattered draw_ray(const Place *place, float choice, float2 u) {
-  if (place->is_unlit) return nowhere();
-  const float glass = 1.0f - opaque_share(place);
-  const float4 one = (float4)(1.0f);
-  if (place->is_glass && choice < glass) {
-    const Interface at = interface_of(place);
-    return choice / glass < at.mirror.x ? mirrored(place, one) : refracted(place, &at, place->base);
-  }
-  if (place->is_glass) return draw_diffuse(place, u, one);
-  if (!place->is_smooth) return draw_rough(place, u, choice);
-  const float mirror = mirror_probability(place);
-  const float4 share = interface_of(place).mirror;
-  if (choice < mirror) return mirrored(place, share / mirror);
-  return draw_diffuse(place, u, (one - share) * ((1.0f - place->material.metallic) / (1.0f - mirror)));
-}
-
-// Ends paths of little weight, so that the others stand for them.
-static Scattered play_roulette(Scattered ray, float choice) {
-  const float survival = min(largest_of(ray.throughput), 0.95f);
-  if (choice >= survival) return nowhere();
-  ray.throughput /= survival;
-  return ray;
-}
-#else
-static Scattered passing(const Place *place, float share) {
-  const Scattered ray = {place->direction, place->throughput * share, 0.0f, RAY_REFRACTED};
-  return ray;
-}
+typedef struct {
+  global float4 *directions, *throughputs;
+#if FOOTPRINTS
+  global float4 *changes;
 #endif
+  global uchar *kinds;
+} Slots;
+
+// Stores the rays that are worth tracing at slot k of each item, and that there is none elsewhere.
+INLINE void store_rays(const Items *items, const Mesh *mesh, const Slots *slots, const Places *at, uint slot_count, uint k, Scattered ray, float least_weight) {
+  const float_v largest = largest3(ray.throughput);
+  const int_v goes = at->is_live & (ray.kind != 0) & (largest > least_weight) & (largest < INFINITY);
+  int kinds[VECTOR_WIDTH];
+  STORE_V((goes ? ray.kind : (int_v)(0)), kinds);
+  const uint lanes = min(at->count - at->first, (uint)VECTOR_WIDTH);
+  for (uint lane = 0; lane < lanes; ++lane) slots->kinds[(size_t)(at->first + lane) * slot_count + k] = (uchar)kinds[lane];
+  if (!has_lane(goes)) return;
+  store_points(slots->directions, at->first, at->count, slot_count, k, ray.direction, (float_v)(INFINITY));
+  store_points(slots->throughputs, at->first, at->count, slot_count, k, ray.throughput, ray.density);
+#if FOOTPRINTS
+  Vec3 covered[3];
+  float_v last[3];
+#pragma unroll
+  for (uint part = 0; part < 3; ++part) {
+    uint places[VECTOR_WIDTH];
+    for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) places[lane] = 3 * at->item[lane] + part;
+    covered[part] = gather_points(items->footprints, places, last + part);
+  }
+  spread_rays(at, mesh, covered[0], last[0], ray.kind, ray.direction, ray.density, covered + 1);
+  for (uint part = 0; part < 2; ++part)
+    store_points(slots->changes, at->first, at->count, 2 * slot_count, 2 * k + part, covered[1 + part], (float_v)(0.0f));
+#endif
+}
 
 // Reads: items (shade_hits, arrive). Writes: slot_directions, slot_throughputs, slot_kinds, slot_changes (for leave_hits,
-// arrive). Work item: one item. Local memory: 0 bytes.
+// arrive). Work item: VECTOR_WIDTH items. Local memory: 0 bytes.
 kernel void scatter_rays(
     uint item_count,
     uint is_first,                                  // 1: hits of the camera's samples
@@ -125,6 +76,7 @@ kernel void scatter_rays(
     global const float4 *restrict positions,        // [vertex_count] world space
     global const uint *restrict indices,            // [3 * triangle_count]
     global const float4 *restrict normals,          // [vertex_count] unit or 0
+    global const float4 *restrict face_normals,     // [triangle_count] unit or 0
     global const float2 *restrict uv,               // [vertex_count]
     global const float2 *restrict uv1,              // [vertex_count]
     global const float4 *restrict colors,           // [vertex_count] linear
@@ -140,49 +92,38 @@ kernel void scatter_rays(
 #endif
     global uchar *restrict slot_kinds)              // [slot_count * item_count] 0: no ray, else RAY_*
 {
-  const uint item = get_global_id(0);
-  if (item >= item_count) return;
+  const uint first = get_global_id(0) * VECTOR_WIDTH;
+  if (first >= item_count) return;
   const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first
 #if FOOTPRINTS
                        , item_footprints
 #endif
   };
-  const Mesh mesh = {positions, indices, normals};
+  const Mesh mesh = {positions, indices, normals, face_normals};
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
-  const size_t first_slot = (size_t)item * slot_count;
-  for (uint k = 0; k < slot_count; ++k) slot_kinds[first_slot + k] = 0;
-  Place place;
-  if (!load_place(&items, &mesh, surfaces, item, &place)) return;
-  Scattered rays[2];
-  uint count = 0;
-#if INDIRECT
-  const uint key = hash_pair(item_keys[item], seed), dimension = depth * PAIRS_OF_HIT + 2;
-  rays[count++] = draw_ray(&place, draw_pair(key, path, dimension).y, draw_pair(key, path, dimension + 1));
-  if (depth >= ROULETTE_DEPTH) rays[0] = play_roulette(rays[0], draw_pair(key, path, dimension + 2).x);
-#else
-  const Interface at = interface_of(&place);
-  const float glass = 1.0f - opaque_share(&place);
-  if (place.is_smooth)
-    rays[count++] = mirrored(&place, at.mirror * (place.alpha * (place.is_glass ? glass : 1.0f)));
-  if (place.is_glass)
-    rays[count++] = refracted(&place, &at, place.base * (place.alpha * glass * at.pass));
-  else if (place.alpha < 1.0f)
-    rays[count++] = passing(&place, 1.0f - place.alpha);
-#endif
-  for (uint k = 0; k < count && k < slot_count; ++k) {
-    const Scattered ray = rays[k];
-    const float largest = largest_of(ray.throughput);
-    if (ray.kind == 0 || !(largest > (INDIRECT ? 0.0f : least_weight)) || !(largest < INFINITY)) continue;
-    slot_directions[first_slot + k] = (float4)(ray.direction.xyz, INFINITY);
-    slot_throughputs[first_slot + k] = (float4)(ray.throughput.xyz, ray.density);
-    slot_kinds[first_slot + k] = ray.kind;
+  const Slots slots = {slot_directions, slot_throughputs,
 #if FOOTPRINTS
-    float4 changes[2] = {item_footprints[3 * (size_t)item + 1], item_footprints[3 * (size_t)item + 2]};
-    spread_ray(&place, &mesh, ray.kind, ray.direction, ray.density, changes);
-    slot_changes[2 * (first_slot + k)] = changes[0];
-    slot_changes[2 * (first_slot + k) + 1] = changes[1];
+                       slot_changes,
 #endif
+                       slot_kinds};
+  Places at;
+  if (!load_places(&items, &mesh, surfaces, first, item_count, &at)) {
+    const size_t end = (size_t)min(first + VECTOR_WIDTH, item_count) * slot_count;
+    for (size_t slot = (size_t)first * slot_count; slot < end; ++slot) slot_kinds[slot] = 0;
+    return;
   }
+#if INDIRECT
+  const uint_v keys = hash_pairs(gather_words(item_keys, at.item), (uint_v)(seed));
+  const uint dimension = depth * PAIRS_OF_HIT + 2;
+  Scattered ray = draw_rays(&at, draw_pairs(keys, path, dimension).y, draw_pairs(keys, path, dimension + 1));
+  if (depth >= ROULETTE_DEPTH) ray = play_roulette(ray, draw_pairs(keys, path, dimension + 2).x);
+  store_rays(&items, &mesh, &slots, &at, slot_count, 0, ray, 0.0f);
+#else
+  Scattered rays[2];
+  split_rays(&at, rays);
+  for (uint k = 0; k < min(slot_count, 2u); ++k)
+    store_rays(&items, &mesh, &slots, &at, slot_count, k, rays[k], least_weight);
+#endif
 }
 
 // Reads: sources (list_edge_pixels), prims_hit, weights (trace_closest), origins, directions (leave_hits),

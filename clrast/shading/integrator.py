@@ -109,8 +109,7 @@ class Integrator:
             masks, reads = surfaces.named(*MASK_ARGUMENTS), {**masked, **looked_up}
         self.tracer = build_tracer(device, scene.positions, scene.triangles, structure, masks, **reads)
         geometry = self.tracer.geometry
-        self.nbytes = geometry.nbytes + self.tracer.nbytes
-        self._mesh = {"positions": geometry.world_positions, "indices": geometry.indices, **surfaces.named("normals")}
+        self.nbytes = geometry.nbytes + self.tracer.nbytes + 16 * len(scene.triangles)
         self._surfaces = surfaces.named(*SURFACES)
         self._lighting = kernels.build(device, "light_hits.cl", features)
         self._scattering = kernels.build(device, "scatter_rays.cl", features)
@@ -120,6 +119,8 @@ class Integrator:
         self.counts = no_rays()
         self._launches_of: dict[str, int] = {}
         self._ms_of: dict[str, float] = {}
+        self._mesh = {"positions": geometry.world_positions, "indices": geometry.indices, **surfaces.named("normals")}
+        self._mesh["face_normals"] = self._find_face_normals(len(scene.triangles))
         self._find_lights(device, scene, surfaces)
         special = np.array([is_specular(material) for material in scene.materials], dtype=bool)
         self._special = special[scene.material_ids]
@@ -127,6 +128,14 @@ class Integrator:
         passes = not self.is_path and (features.refraction or features.alpha_blend)
         self.slot_count = (2 if passes else 1) if goes_on else 0
         self.environment = scene.environment if plan["environment"] and scene.environment else (0.0, 0.0, 0.0)
+
+    def _find_face_normals(self, triangle_count: int) -> cl.Buffer:
+        """[triangle_count] float4, unit normals of the triangles, world space."""
+        normals = buffers.create(self.device, 16 * triangle_count)
+        corners = {name: self._mesh[name] for name in ("positions", "indices")}
+        self._launch(self._lighting, "find_face_normals", triangle_count, triangle_count=triangle_count, **corners,
+                     face_normals=normals)  # fmt: skip
+        return normals
 
     def _find_lights(self, device: Device, scene: Scene, surfaces: SurfaceBuffers) -> None:
         sources = find_light_sources(scene)
@@ -261,7 +270,7 @@ class Integrator:
         numbers = {"item_count": items.count, "is_first": int(items.is_first)}
         common = {**numbers, **items.hits, **self._mesh, **self._surfaces}
         red, green, blue = self.environment
-        self._launch(
+        self._launch_lanes(
             self._lighting, "begin_light", items.count, **common, inverse_power=self._inverse_power,
             environment_r=red, environment_g=green, environment_b=blue, item_origins=items.origins,
             radiances=radiances,
@@ -273,33 +282,28 @@ class Integrator:
         brought = {"slot_radiances": self._room("slot_radiances", 16 * items.count)}
         kinds = self._room("slot_kinds", items.count)
         for light in range(self._rounds):
-            self._launch(
+            self._launch_lanes(
                 self._lighting, "aim_at_light", items.count, **common, light=light, light_count=self._light_count,
                 emitter_count=self._emitter_count, path=path, depth=depth, is_last=int(is_last),
                 inverse_power=self._inverse_power, item_keys=items.keys, seed=self.depths.seed, **self._lights,
                 **ends, **brought, slot_kinds=kinds,
             )  # fmt: skip
-            sources, count = self._lists.list(kinds, items.count, "sources")
-            if not count:
-                continue
             self._launch(
-                self._lighting, "add_light", count, ray_count=count, sources=sources,
-                occluded=self._occluded(items, path, depth, sources, count, ends), **brought, radiances=radiances,
+                self._lighting, "add_light", items.count, item_count=items.count, slot_kinds=kinds,
+                occluded=self._occluded(items, path, depth, kinds, ends), **brought, radiances=radiances,
             )  # fmt: skip
         return radiances
 
-    def _occluded(
-        self, items: Items, path: int, depth: int, sources: cl.Buffer, count: int, ends: dict[str, cl.Buffer]
-    ) -> cl.Buffer:
+    def _occluded(self, items: Items, path: int, depth: int, kinds: cl.Buffer, ends: dict[str, cl.Buffer]) -> cl.Buffer:
         if not self.shows_shadows:
-            free = self._room("occluded", 4 * count)
-            buffers.fill(self.device, free, np.uint32(0), 4 * count)
+            free = self._room("occluded", 4 * items.count)
+            buffers.fill(self.device, free, np.uint32(0), 4 * items.count)
             return free
-        self.counts["rays_shadow"] += count
         streams = self._streams_left(items, depth)
-        return self.tracer.enqueue_any(
-            self.tracer.enqueue_leave_for_light(count, path, sources=sources, **ends, **streams)
-        )
+        occluded = self.tracer.enqueue_any(self.tracer.enqueue_leave_for_light(items.count, path, **ends, **streams))
+        with buffers.mapped(self.device, kinds, np.bool_, items.count) as flags:
+            self.counts["rays_shadow"] += int(np.count_nonzero(flags))
+        return occluded
 
     def _streams_left(self, items: Items, depth: int) -> dict[str, Any]:
         """What leave_hits.cl takes of the items that rays leave."""
@@ -313,7 +317,7 @@ class Integrator:
         directions, throughputs = self._room("slot_directions", 16 * slots), self._room("slot_throughputs", 16 * slots)
         kinds = self._room("slot_kinds", slots)
         changes = {"slot_changes": self._room("slot_changes", SLOT_CHANGE_BYTES * slots)} if self._filters else {}
-        self._launch(
+        self._launch_lanes(
             self._scattering, "scatter_rays", items.count, item_count=items.count, is_first=int(items.is_first),
             slot_count=self.slot_count, path=path, depth=depth, least_weight=LEAST_WEIGHT, **items.hits,
             item_keys=items.keys, seed=self.depths.seed, **self._mesh, **self._surfaces, slot_directions=directions,
@@ -354,9 +358,8 @@ class Integrator:
 
     def _count_kinds(self, kinds: cl.Buffer, slots: int) -> None:
         with buffers.mapped(self.device, kinds, np.uint8, slots) as flags:
-            found = np.bincount(flags, minlength=max(RAY_KINDS) + 1)
-        for kind, name in RAY_KINDS.items():
-            self.counts[name] += int(found[kind])
+            for kind, name in RAY_KINDS.items():
+                self.counts[name] += int(np.count_nonzero(flags == kind))
 
     def _has_hits(self, visible_prims: cl.Buffer, count: int) -> bool:
         with buffers.mapped(self.device, visible_prims, np.uint32, count) as prims:
@@ -366,6 +369,10 @@ class Integrator:
         """Whether a hit is on a surface that mirrors or refracts: else no ray goes on, and no kernel for it runs."""
         with buffers.mapped(self.device, visible_prims, np.uint32, count) as prims:
             return bool(self._special[prims[prims != NO_HIT]].any())
+
+    def _launch_lanes(self, program: Any, kernel: str, items: int, **arguments: Any) -> None:
+        """Launch a kernel whose work-items take as many items as a vector has lanes."""
+        self._launch(program, kernel, -(-items // self.features.vector_width), **arguments)
 
     def _launch(self, program: Any, kernel: str, items: int, **arguments: Any) -> None:
         program.launch(kernel, -(-items // WORK_GROUP) * WORK_GROUP, WORK_GROUP, **arguments)
