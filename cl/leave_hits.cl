@@ -9,23 +9,27 @@
 #include "edge_function.clh"
 #include "settled_tests.clh"
 #include "intersect_triangle.clh"
+#include "lanes.clh"
 #include "leave_triangle.clh"
 #include "random_numbers.clh"
 
-INLINE Corners corners_of_prim(global const float4 *positions, global const uint *indices, uint prim_id) {
-  global const uint *v = indices + 3 * (size_t)prim_id;
-  const Corners t = {{positions[v[0]], positions[v[1]], positions[v[2]]}};
-  return t;
+INLINE LeftTriangles gather_triangles_to_leave(global const float4 *positions, global const uint *indices, const uint *prims) {
+  uint vertices[3][VECTOR_WIDTH];
+#pragma unroll
+  for (uint k = 0; k < 3; ++k)
+    for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) vertices[k][lane] = indices[3 * (size_t)prims[lane] + k];
+  float_v unused;
+  return triangles_to_leave(gather_points(positions, vertices[0], &unused), gather_points(positions, vertices[1], &unused),
+                            gather_points(positions, vertices[2], &unused));
 }
 
-// Where a ray begins that leaves an item along `way`; w as of leave_triangle.
-static float4 leave_item(Corners t, float4 weights, float4 position, bool is_first, float4 way) {
-  const float4 w = (float4)(weights.xyz, 0.0f);
-  const LeftPoint point = is_first ? point_of_position(position, position.w) : point_of_weights(t, w);
-  return leave_triangle(t, point, w, camera_of(make_ray((float4)(0.0f), way, NO_HIT)));
+// Where rays begin that leave items along `ways`; origins as of leave_triangles.
+INLINE void leave_items(LeftTriangles t, Vec3 weights, Vec3 positions, float_v doubt, bool is_first, Vec3 ways, int_v wanted, float4 *origins) {
+  const LeftPoints points = is_first ? points_of_positions(positions, doubt) : points_of_weights(&t, weights);
+  leave_triangles(t, points, weights, ways, wanted, origins);
 }
 
-// Reads: prims_hit, weights (trace_closest, or the host). Writes: origins (for trace_*). Work item: one hit.
+// Reads: prims_hit, weights (trace_closest, or the host). Writes: origins (for trace_*). Work item: VECTOR_WIDTH hits.
 // Local memory: 0 bytes.
 kernel void offset_origins(
     uint ray_count,
@@ -36,15 +40,21 @@ kernel void offset_origins(
     global const uint *restrict indices,       // [3 * triangle_count] vertices
     global float4 *restrict origins)           // [ray_count] xyz; w 1, or 0 where the triangle has no side
 {
-  const uint item = get_global_id(0);
-  if (item >= ray_count) return;
-  const Corners t = corners_of_prim(positions, indices, prims_left[item]);
-  const Ray ray = make_ray((float4)(0.0f), directions[item], NO_HIT);
-  origins[item] = leave_triangle(t, point_of_weights(t, weights[item]), weights[item], camera_of(ray));
+  const uint first = get_global_id(0) * VECTOR_WIDTH;
+  if (first >= ray_count) return;
+  uint rays[VECTOR_WIDTH], prims[VECTOR_WIDTH];
+  list_items(first, ray_count, rays);
+  STORE_V(gather_words(prims_left, rays), prims);
+  float4 found[VECTOR_WIDTH];
+  float_v unused;
+  const Vec3 w = gather_points(weights, rays, &unused);
+  leave_items(gather_triangles_to_leave(positions, indices, prims), w, w, unused, false,
+              gather_points(directions, rays, &unused), LANES >= 0, found);
+  for (uint lane = 0; lane < min(ray_count - first, (uint)VECTOR_WIDTH); ++lane) origins[first + lane] = found[lane];
 }
 
 // Reads: sources (list_edge_pixels), slot_directions (scatter_rays), items (shade_hits, arrive). Writes: rays for
-// trace_closest, side by side. Work item: one ray. Local memory: 0 bytes.
+// trace_closest, side by side. Work item: VECTOR_WIDTH rays. Local memory: 0 bytes.
 kernel void leave_hits(
     uint ray_count,
     uint slot_count,                                // slots of an item
@@ -64,19 +74,30 @@ kernel void leave_hits(
     global uint *restrict excluded,                 // [ray_count] prim_id that is left
     global uint *restrict ray_keys)                 // [ray_count] of random numbers
 {
-  const uint ray = get_global_id(0);
-  if (ray >= ray_count) return;
-  const uint source = sources[ray], item = source / slot_count, prim_id = item_prims[item];
-  const float4 direction = slot_directions[source];
-  const float4 origin = leave_item(corners_of_prim(positions, indices, prim_id), item_weights[item], item_positions[item], is_first, direction);
-  origins[ray] = (float4)(origin.xyz, 0.0f);
-  directions[ray] = (float4)(direction.xyz, origin.w > 0.0f ? direction.w : 0.0f);
-  excluded[ray] = prim_id;
-  ray_keys[ray] = FIRST_LANE(keys_of_rays((uint_v)(item_keys[item]), seed, depth, false));
+  const uint first = get_global_id(0) * VECTOR_WIDTH;
+  if (first >= ray_count) return;
+  uint rays[VECTOR_WIDTH], slots[VECTOR_WIDTH], items[VECTOR_WIDTH], prims[VECTOR_WIDTH], keys[VECTOR_WIDTH];
+  list_items(first, ray_count, rays);
+  STORE_V(gather_words(sources, rays), slots);
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) items[lane] = slots[lane] / slot_count;
+  STORE_V(gather_words(item_prims, items), prims);
+  float4 found[VECTOR_WIDTH], ways[VECTOR_WIDTH];
+  float_v unused, doubt, t_max;
+  const Vec3 weights = gather_points(item_weights, items, &unused), at = gather_points(item_positions, items, &doubt);
+  const Vec3 way = gather_points(slot_directions, slots, &t_max);
+  leave_items(gather_triangles_to_leave(positions, indices, prims), weights, at, doubt, is_first, way, LANES >= 0, found);
+  list_points(way, t_max, ways);
+  STORE_V(keys_of_rays(gather_words(item_keys, items), seed, depth, false), keys);
+  for (uint lane = 0; lane < min(ray_count - first, (uint)VECTOR_WIDTH); ++lane) {
+    origins[first + lane] = (float4)(found[lane].xyz, 0.0f);
+    directions[first + lane] = (float4)(ways[lane].xyz, found[lane].w > 0.0f ? ways[lane].w : 0.0f);
+    excluded[first + lane] = prims[lane];
+    ray_keys[first + lane] = keys[lane];
+  }
 }
 
 // Reads: slot_ends, slot_lamps (aim_at_light), items (shade_hits, arrive). Writes: rays for trace_any, one of each item.
-// Work item: one ray. Local memory: 0 bytes.
+// Work item: VECTOR_WIDTH rays. Local memory: 0 bytes.
 kernel void leave_for_light(
     uint ray_count,
     uint is_first,                                  // 1: hits of the camera's samples
@@ -97,22 +118,32 @@ kernel void leave_for_light(
     global uint *restrict lamp_slots,               // [ray_count] slot_lamps
     global uint *restrict ray_keys)                 // [ray_count] of random numbers
 {
-  const uint ray = get_global_id(0);
-  if (ray >= ray_count) return;
-  const uint prim_id = item_prims[ray] == NO_HIT ? 0 : item_prims[ray];
-  const float4 end = slot_ends[ray], position = item_positions[ray];
-  const bool to_point = end.w > 0.0f;
-  const float4 way = to_point ? end - position : end;
-  float4 origin = (float4)(0.0f);
-  if (way.x != 0.0f || way.y != 0.0f || way.z != 0.0f)
-    origin = leave_item(corners_of_prim(positions, indices, prim_id), item_weights[ray], position, is_first, way);
-  const float4 aim = to_point ? end - origin : end;
-  const float size = max(fabs(aim.x), max(fabs(aim.y), fabs(aim.z)));
-  const bool goes = origin.w > 0.0f && size >= LEAST_WAY && size <= LARGEST_WAY;
-  origins[ray] = (float4)(origin.xyz, 0.0f);
-  directions[ray] = (float4)(aim.xyz, goes ? (to_point ? 1.0f : INFINITY) : 0.0f);
-  excluded[ray] = prim_id;
-  ends[ray] = end;
-  lamp_slots[ray] = slot_lamps[ray];
-  ray_keys[ray] = FIRST_LANE(keys_of_rays((uint_v)(item_keys[ray]), seed, depth, true));
+  const uint first = get_global_id(0) * VECTOR_WIDTH;
+  if (first >= ray_count) return;
+  uint items[VECTOR_WIDTH], prims[VECTOR_WIDTH], keys[VECTOR_WIDTH], lamps[VECTOR_WIDTH];
+  list_items(first, ray_count, items);
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane)
+    prims[lane] = item_prims[items[lane]] == NO_HIT ? 0 : item_prims[items[lane]];
+  float4 found[VECTOR_WIDTH], ended[VECTOR_WIDTH];
+  float_v unused, doubt, to_point;
+  const Vec3 weights = gather_points(item_weights, items, &unused), at = gather_points(item_positions, items, &doubt);
+  const Vec3 end = gather_points(slot_ends, items, &to_point);
+  const Vec3 way = select3(to_point > 0.0f, subtract(end, at), end);
+  const int_v wanted = (way.x != 0.0f) | (way.y != 0.0f) | (way.z != 0.0f);
+  leave_items(gather_triangles_to_leave(positions, indices, prims), weights, at, doubt, is_first, way, wanted, found);
+  list_points(end, to_point, ended);
+  STORE_V(gather_words(slot_lamps, items), lamps);
+  STORE_V(keys_of_rays(gather_words(item_keys, items), seed, depth, true), keys);
+  for (uint lane = 0; lane < min(ray_count - first, (uint)VECTOR_WIDTH); ++lane) {
+    const bool is_point = ended[lane].w > 0.0f;
+    const float4 aim = is_point ? ended[lane] - found[lane] : ended[lane];
+    const float size = max(fabs(aim.x), max(fabs(aim.y), fabs(aim.z)));
+    const bool goes = found[lane].w > 0.0f && size >= LEAST_WAY && size <= LARGEST_WAY;
+    origins[first + lane] = (float4)(found[lane].xyz, 0.0f);
+    directions[first + lane] = (float4)(aim.xyz, goes ? (is_point ? 1.0f : INFINITY) : 0.0f);
+    excluded[first + lane] = prims[lane];
+    ends[first + lane] = ended[lane];
+    lamp_slots[first + lane] = lamps[lane];
+    ray_keys[first + lane] = keys[lane];
+  }
 }
