@@ -5,8 +5,6 @@
 //   aim_at_light: a ray from each live item towards the light, with the light that it would bring; of dead ones an empty ray
 //   leave_hits.cl, trace_rays.cl: where each begins; which rays meet something on the way
 //   add_light: the light of the others
-// In paths a light is drawn by its power: punctual lights, and emissive triangles, on which a point is drawn; what they
-// bring is weighted against finding them by chance (Veach and Guibas 1995, power heuristic).
 // Good at: few lights. Bad at: many lights outside of paths (a pass each). Tests: tests/test_modes.py.
 
 #define FOOTPRINTS DERIVATIVES
@@ -15,18 +13,7 @@
 #include "elementary.clh"
 #include "sampling.clh"
 #include "ray_items.clh"
-
-INLINE float_v power_weight(float_v a, float_v b) {
-  const float_v larger = max(a, b), x = a / larger, y = b / larger;
-  return larger > 0.0f ? x * x / (x * x + y * y) : (float_v)(0.0f);
-}
-
-// Density over directions of drawing points of emissive triangles that are seen along l at a distance.
-INLINE float_v density_of_emitters(Vec3 face_normal, Vec3 emissive, Vec3 l, float_v distance2, float inverse_power) {
-  const float_v cosine = fabs(dot3(face_normal, l));
-  const float_v strength = ((emissive.x + emissive.y) + emissive.z) * inverse_power;
-  return cosine > 0.0f ? strength * distance2 / cosine : (float_v)(0.0f);  // the triangle's area cancels
-}
+#include "light_rays.clh"
 
 // Reads: positions, indices. Writes: face_normals (for the kernels that load places). Work item: one triangle. Local
 // memory: 0 bytes.
@@ -43,50 +30,6 @@ kernel void find_face_normals(
   const float4 e = positions[vertices[1]] - p0, f = positions[vertices[2]] - p0;
   const float4 cross_product = {e.y * f.z - e.z * f.y, e.z * f.x - e.x * f.z, e.x * f.y - e.y * f.x, 0.0f};
   face_normals[prim_id] = unit(cross_product);
-}
-
-INLINE Vec3 emissive_of(Surfaces surfaces, const Places *at) {
-  float x[VECTOR_WIDTH], y[VECTOR_WIDTH], z[VECTOR_WIDTH];
-#pragma unroll
-  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
-    const float4 own = surfaces.materials[surfaces.material_ids[at->prim[lane]]].emissive;
-    x[lane] = own.x;
-    y[lane] = own.y;
-    z[lane] = own.z;
-  }
-  const Vec3 emissive = {LOAD_V(x), LOAD_V(y), LOAD_V(z)};
-  return emissive;
-}
-
-// Radiance that the lanes' surfaces emit, in those of the mask.
-INLINE Vec3 emitted_by(const Items *items, const Mesh *mesh, Surfaces surfaces, const Places *at, int_v wanted) {
-  float x[VECTOR_WIDTH] = {0}, y[VECTOR_WIDTH] = {0}, z[VECTOR_WIDTH] = {0};
-  for (ulong mask = LANE_MASK(wanted); mask != 0; mask &= mask - 1) {
-    const uint lane = first_lane(mask);
-    const Material material = surfaces.materials[surfaces.material_ids[at->prim[lane]]];
-    const float4 emitted = emitted_light(surfaces, material, point_of_lane(items, mesh, at, lane));
-    x[lane] = emitted.x;
-    y[lane] = emitted.y;
-    z[lane] = emitted.z;
-  }
-  const Vec3 emitted = {LOAD_V(x), LOAD_V(y), LOAD_V(z)};
-  return emitted;
-}
-
-// Whether a live item may have light of its own: an emissive or unlit surface, or any where there are no lights.
-INLINE bool find_shining(const Items *items, Surfaces surfaces, uint first, uint count, Places *at) {
-  if (!has_lane(find_live(items, first, count, at))) return false;
-#if LIT || INDIRECT
-  if (items->is_first) return false;
-  bool shines = false;
-  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
-    global const Material *own = surfaces.materials + surfaces.material_ids[at->prim[lane]];
-    shines = shines || (own->flags & MATERIAL_UNLIT) != 0 || largest_of(own->emissive) > 0.0f;
-  }
-  return shines;
-#else
-  return true;
-#endif
 }
 
 // Reads: items (shade_hits, arrive). Writes: radiances: what items have without any light being asked. Work item: one
@@ -139,126 +82,12 @@ kernel void begin_light(
   }
   Places at;
   if (find_shining(&items, surfaces, first, item_count, &at) && load_places(&items, &mesh, surfaces, first, item_count, &at)) {
-    const Vec3 base = at.finish.base, none = fill3((float_v)(0.0f));
-    Vec3 radiance = none;
-    const int_v is_arrived = is_first ? (LANES < 0) : (LANES >= 0);
-    radiance = select3(is_arrived & at.is_unlit, scale3(base, at.alpha), radiance);
-#if EMISSION
-    const Vec3 emitted = emitted_by(&items, &mesh, surfaces, &at, at.is_live & is_arrived & (at.is_unlit == 0));
-    float_v share = at.alpha;
-#if INDIRECT
-    float_v unused;
-    const Vec3 way = subtract(at.position, gather_points(item_origins, at.item, &unused));
-    const Vec3 face_normal = gather_points(face_normals, at.prim, &unused);
-    const float_v density = density_of_emitters(face_normal, emissive_of(surfaces, &at), at.direction, dot3(way, way), inverse_power);
-    share *= at.drawn_density > 0.0f ? power_weight(at.drawn_density, density) : (float_v)(1.0f);
-#endif
-    radiance = select3(is_arrived & (at.is_unlit == 0), scale3(emitted, share), radiance);
-#endif
-#if !LIT && !INDIRECT
-    const float_v diffuse = at.is_smooth ? (1.0f - at.finish.metallic) * opaque_share(&at) : (float_v)(1.0f);
-    const Vec3 head = scale3(base, fabs(dot3(at.n, at.to_viewer)) * diffuse * at.alpha);
-    radiance = select3(at.is_unlit, radiance, add(radiance, head));
-#endif
     float4 brought[VECTOR_WIDTH];
-    list_points(multiply3(radiance, at.throughput), (float_v)(0.0f), brought);
+    list_points(own_light(&items, &mesh, surfaces, &at, item_origins, inverse_power), (float_v)(0.0f), brought);
     for (ulong mask = LANE_MASK(at.is_live); mask != 0; mask &= mask - 1) found[first_lane(mask)] = brought[first_lane(mask)];
   }
   for (uint lane = 0; lane < lanes; ++lane) radiances[first + lane] = found[lane];
 }
-
-#if INDIRECT
-// The share of light that a surface sends where it is masked or blends.
-static inline float emitting_share(Surfaces surfaces, Material material, SurfacePoint at) {
-#if ALPHA_MASK
-  if (material.flags & MATERIAL_MASK) return base_color(surfaces, material, at).w < material.alpha_cutoff ? 0.0f : 1.0f;
-#endif
-#if ALPHA_BLEND
-  if (material.flags & MATERIAL_BLEND) return min(max(base_color(surfaces, material, at).w, 0.0f), 1.0f);
-#endif
-  return 1.0f;
-}
-
-// Radiance that points of emissive triangles send, in the lanes of the mask; *share: as emitting_share.
-INLINE Vec3 emitted_at(Surfaces surfaces, const Mesh *mesh, const Places *lamp, Vec3 weights, int_v wanted, Vec3 emissive, float_v *share) {
-#if TEXTURES || ALPHA_MASK || ALPHA_BLEND
-  float4 listed[VECTOR_WIDTH];
-  list_points(weights, (float_v)(0.0f), listed);
-  float x[VECTOR_WIDTH] = {0}, y[VECTOR_WIDTH] = {0}, z[VECTOR_WIDTH] = {0}, shares[VECTOR_WIDTH] = {0};
-  for (ulong mask = LANE_MASK(wanted); mask != 0; mask &= mask - 1) {
-    const uint lane = first_lane(mask), prim_id = lamp->prim[lane];
-    global const uint *v = mesh->indices + 3 * (size_t)prim_id;
-    const SurfacePoint point = {prim_id, v[0], v[1], v[2], listed[lane].x, listed[lane].y, listed[lane].z};
-    const Material material = surfaces.materials[surfaces.material_ids[prim_id]];
-    const float4 emitted = emitted_light(surfaces, material, point);
-    shares[lane] = emitting_share(surfaces, material, point);
-    x[lane] = emitted.x;
-    y[lane] = emitted.y;
-    z[lane] = emitted.z;
-  }
-  const Vec3 all = {LOAD_V(x), LOAD_V(y), LOAD_V(z)};
-  *share = LOAD_V(shares);
-  return all;
-#else
-  *share = (float_v)(1.0f);
-  return emissive;
-#endif
-}
-
-// Light from points that are drawn on emissive triangles. is_last: no ray goes on that could find them by chance.
-// *end: the points.
-INLINE Vec3 light_of_emitters(const Places *at, const Mesh *mesh, Surfaces surfaces, Places *lamp, int_v wanted, Numbers u, float inverse_power, bool is_last, Vec3 *end) {
-  const float_v root = sqrt(u.x), b0 = 1.0f - root, b1 = u.y * root;
-  const Vec3 weights = {b0, b1, max((1.0f - b0) - b1, 0.0f)};
-  *end = weigh3(gather_vertices(mesh->positions, mesh, lamp, 0), gather_vertices(mesh->positions, mesh, lamp, 1),
-                gather_vertices(mesh->positions, mesh, lamp, 2), weights);
-  const Vec3 way = subtract(*end, at->position), l = unit3(way);
-  float_v unused;
-  const Vec3 emissive = emissive_of(surfaces, lamp), face_normal = gather_points(mesh->face_normals, lamp->prim, &unused);
-  const float_v density = density_of_emitters(face_normal, emissive, l, dot3(way, way), inverse_power);
-  const float_v found = is_last ? (float_v)(1.0f) : power_weight(density, density_of(at, l));
-  const int_v is_seen = wanted & (dot3(at->g, l) > 0.0f) & (density > 0.0f);
-  float_v emitting = (float_v)(1.0f);
-  const Vec3 emitted = emitted_at(surfaces, mesh, lamp, weights, is_seen, emissive, &emitting);
-  const Vec3 sent = reflected_by(at->finish, at->n, at->to_viewer, l, at->is_smooth == 0);
-  return select3(is_seen, scale3(multiply3(emitted, sent), found * emitting / density), fill3((float_v)(0.0f)));
-}
-
-// The light that u draws by its power: the last whose running sum begins at u or below.
-static inline uint draw_light(global const float *sums, uint count, float u) {
-  uint low = 0, high = count;
-  while (high - low > 1) {
-    const uint middle = (low + high) / 2;
-    if (sums[middle] <= u) low = middle; else high = middle;
-  }
-  return low;
-}
-#endif
-
-// What light would bring to the lanes' items, and where it comes from: a point, or where to_point is 0 a direction.
-typedef struct { Vec3 radiance, end; float_v to_point; } Aim;
-
-#if LIT
-// Light of the punctual lights that lanes ask; other lanes stay as they are.
-INLINE void aim_at_punctual(const Places *at, global const Light *lights, uint light_count, const uint *asked, Aim *aim) {
-  float4 places[VECTOR_WIDTH], brought[VECTOR_WIDTH], ways[VECTOR_WIDTH], ends[VECTOR_WIDTH];
-  list_points(at->position, (float_v)(0.0f), places);
-  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
-    brought[lane] = ways[lane] = ends[lane] = (float4)(0.0f);
-    if (asked[lane] >= light_count) continue;
-    const Light source = lights[asked[lane]];
-    brought[lane] = incoming(source, places[lane], ways + lane);
-    ends[lane] = source.kind == LIGHT_DIRECTIONAL ? ways[lane] : (float4)(source.position.xyz, 1.0f);
-  }
-  float_v unused, to_point;
-  const Vec3 to_light = join_points(ways, &unused), arriving = join_points(brought, &unused), end = join_points(ends, &to_point);
-  const int_v is_punctual = LOAD_V(asked) < light_count, is_seen = dot3(at->g, to_light) > 0.0f;
-  const Vec3 sent = multiply3(arriving, reflected_by(at->finish, at->n, at->to_viewer, to_light, at->is_smooth == 0));
-  aim->radiance = select3(is_punctual, select3(is_seen, sent, fill3((float_v)(0.0f))), aim->radiance);
-  aim->end = select3(is_punctual, end, aim->end);
-  aim->to_point = is_punctual ? to_point : aim->to_point;
-}
-#endif
 
 // Reads: items (shade_hits, arrive). Writes: slot_ends, slot_lamps, slot_kinds (for leave_for_light),
 // slot_radiances (for add_light).
@@ -323,46 +152,18 @@ kernel void aim_at_light(
     }
     return;
   }
-  uint drawn[VECTOR_WIDTH], lamp_slots[VECTOR_WIDTH];
-  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
-    drawn[lane] = light;
-    lamp_slots[lane] = NO_HIT;
-  }
-  float_v share = (float_v)(1.0f);
-  Aim aim = {fill3((float_v)(0.0f)), fill3((float_v)(0.0f)), (float_v)(0.0f)};
+  const Lights all = {lights, emitters, emitter_slots, power_sums, light_count, emitter_count, inverse_power};
 #if INDIRECT
   const uint_v keys = hash_pairs(gather_words(item_keys, at.item), (uint_v)(seed));
-  const uint dimension = depth * PAIRS_OF_HIT;
-  float picked[VECTOR_WIDTH], shares[VECTOR_WIDTH];
-  Places lamp;
-  STORE_V(draw_pairs(keys, path, dimension).x, picked);
-  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
-    const uint one = draw_light(power_sums, light_count + emitter_count, picked[lane]);
-    const bool is_emitter = one >= light_count;
-    drawn[lane] = one;
-    shares[lane] = is_emitter ? 1.0f : 1.0f / (power_sums[one + 1] - power_sums[one]);
-    lamp.prim[lane] = is_emitter ? emitters[one - light_count] : 0;
-    lamp_slots[lane] = is_emitter ? emitter_slots[one - light_count] : NO_HIT;
-  }
-  share = LOAD_V(shares);
-  const int_v is_emitter = LOAD_V(drawn) >= light_count;
-  if (has_lane(is_emitter)) {
-    aim.radiance = light_of_emitters(&at, &mesh, surfaces, &lamp, is_emitter, draw_pairs(keys, path, dimension + 1), inverse_power, is_last != 0, &aim.end);
-    aim.to_point = (float_v)(1.0f);
-  }
+#else
+  const uint_v keys = (uint_v)(0);
 #endif
-#if LIT
-  aim_at_punctual(&at, lights, light_count, drawn, &aim);
-#endif
-  aim.radiance = multiply3(aim.radiance, scale3(at.throughput, share * at.alpha * opaque_share(&at)));
-  const Vec3 way = select3(aim.to_point > 0.0f, subtract(aim.end, at.position), aim.end);
-  const float_v size = largest3(sizes3(way));
-  const int_v goes = at.is_live & (at.is_unlit == 0) & (largest3(aim.radiance) > 0.0f) & (size >= LEAST_WAY) & (size <= LARGEST_WAY);
-  store_points(slot_ends, first, item_count, 1, 0, select3(goes, aim.end, fill3((float_v)(0.0f))), goes ? aim.to_point : (float_v)(0.0f));
+  const Aim aim = aim_at_lights(&at, &mesh, surfaces, &all, light, keys, path, depth, is_last != 0);
+  store_points(slot_ends, first, item_count, 1, 0, aim.end, aim.to_point);
   store_points(slot_radiances, first, item_count, 1, 0, aim.radiance, (float_v)(0.0f));
-  store_words(slot_lamps, first, item_count, goes ? LOAD_V(lamp_slots) : (uint_v)(NO_HIT));
+  store_words(slot_lamps, first, item_count, aim.lamp_slot);
   int kinds[VECTOR_WIDTH];
-  STORE_V(goes, kinds);
+  STORE_V(aim.goes, kinds);
   for (uint lane = 0; lane < lanes; ++lane) slot_kinds[first + lane] = kinds[lane] != 0;
 }
 

@@ -15,9 +15,9 @@ kernel void probe_turns(
 {
   const uint i = get_global_id(0);
   if (i >= count) return;
-  const float2 found = cosine_sine(turns[i]);
-  results[i] = found.x;
-  results[count + i] = found.y;
+  const SineCosine found = sine_cosine(turns[i]);
+  results[i] = found.cosine;
+  results[count + i] = found.sine;
 }
 
 // Reads: words. Writes: results. Work item: one pair of words. Local memory: 0 bytes.
@@ -43,8 +43,9 @@ kernel void probe_points(
   results[count + i] = found.y;
 }
 
-static float4 vector_of(global const float *numbers, uint count, uint i) {
-  return (float4)(numbers[i], numbers[count + i], numbers[2 * count + i], 0.0f);
+static Vec3 vector_of(global const float *numbers, uint count, uint i) {
+  const Vec3 v = {numbers[i], numbers[count + i], numbers[2 * count + i]};
+  return v;
 }
 
 // Reads: n, v, u. Writes: results. Work item: one draw. Local memory: 0 bytes.
@@ -58,10 +59,9 @@ kernel void probe_directions(
 {
   const uint i = get_global_id(0);
   if (i >= count) return;
-  const float2 numbers = (float2)(u[i], u[count + i]);
-  const float4 found[2] = {
-      draw_cosine(vector_of(n, count, i), numbers),
-      draw_normal(vector_of(n, count, i), vector_of(v, count, i), alpha, numbers)};
+  const Vec3 found[2] = {
+      draw_cosine(vector_of(n, count, i), u[i], u[count + i]),
+      draw_normal(vector_of(n, count, i), vector_of(v, count, i), alpha, u[i], u[count + i])};
   for (uint k = 0; k < 2; ++k) {
     results[(3 * k + 0) * count + i] = found[k].x;
     results[(3 * k + 1) * count + i] = found[k].y;
