@@ -81,7 +81,7 @@ kernel void begin_light(
     if (lost) found[lane] = item_throughput(&items, first + lane) * (float4)(environment_r, environment_g, environment_b, 0.0f);
   }
   Places at;
-  if (find_shining(&items, surfaces, first, item_count, &at) && load_places(&items, &mesh, surfaces, first, item_count, &at)) {
+  if (has_lane(find_live(&items, first, item_count, &at)) && shines(&items, surfaces, &at) && load_places(&items, &mesh, surfaces, first, item_count, &at)) {
     float4 brought[VECTOR_WIDTH];
     list_points(own_light(&items, &mesh, surfaces, &at, item_origins, inverse_power), (float_v)(0.0f), brought);
     for (ulong mask = LANE_MASK(at.is_live); mask != 0; mask &= mask - 1) found[first_lane(mask)] = brought[first_lane(mask)];

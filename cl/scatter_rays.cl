@@ -30,8 +30,7 @@ typedef struct {
 
 // Stores the rays that are worth tracing at slot k of each item, and that there is none elsewhere.
 INLINE void store_rays(const Items *items, const Mesh *mesh, const Slots *slots, const Places *at, uint slot_count, uint k, Scattered ray, float least_weight) {
-  const float_v largest = largest3(ray.throughput);
-  const int_v goes = at->is_live & (ray.kind != 0) & (largest > least_weight) & (largest < INFINITY);
+  const int_v goes = worth_tracing(at, ray, least_weight);
   int kinds[VECTOR_WIDTH];
   STORE_V((goes ? ray.kind : (int_v)(0)), kinds);
   const uint lanes = min(at->count - at->first, (uint)VECTOR_WIDTH);

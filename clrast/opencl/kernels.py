@@ -247,6 +247,10 @@ RAY_PROGRAMS = ("trace_rays.cl", "leave_hits.cl")
 float64, the order of triangles, the stack's capacity and what decides whether rays pass surfaces; what else views are
 made of leaves them as they are."""
 
+PATH_PROGRAMS = ("shade_paths.cl",)
+"""Programs that look surfaces up for paths and let rays leave them: as exact as RAY_PROGRAMS, with all that surfaces are
+made of, unfiltered."""
+
 
 def build(device: Device, name: str, features: Features | None = None, folder: Path | None = None) -> Program:
     """The program of `cl/<name>` for this device, built at most once for the features that it reads.
@@ -261,6 +265,9 @@ def build(device: Device, name: str, features: Features | None = None, folder: P
         width, stack = features.vector_width, features.stack_capacity
         kept = {name: getattr(features, name) for name in ("prefetch", "leaf_order", "indirect", *MASKED)}
         features = Features(width, precision=Precision.EXACT, float64=features.float64, stack_capacity=stack, **kept)
+    if name in PATH_PROGRAMS:
+        features = replace(features, precision=Precision.EXACT, projection=Projection.PERSPECTIVE, edges=Edges.SPATIAL,
+                           evaluation=0, indirect=True)  # fmt: skip
     defines = features.defines(source)
     key = (name, source, defines)
     program = device.programs.get(key)

@@ -24,6 +24,7 @@ from clrast.scene.model import Scene
 from clrast.shading.accumulation import Accumulation
 from clrast.shading.effects import EffectPlan, is_specular
 from clrast.shading.light_sources import find_light_sources
+from clrast.shading.path_streams import PathStreams
 from clrast.shading.sample_lists import FlagList, Room
 from clrast.shading.surfaces import MASK_ARGUMENTS, SurfaceBuffers
 from clrast.shading.watch import Watch
@@ -128,6 +129,22 @@ class Integrator:
         passes = not self.is_path and (features.refraction or features.alpha_blend)
         self.slot_count = (2 if passes else 1) if goes_on else 0
         self.environment = scene.environment if plan["environment"] and scene.environment else (0.0, 0.0, 0.0)
+        self._streams = self._path_streams() if self.is_path and not self._filters else None
+
+    def _path_streams(self) -> PathStreams:
+        red, green, blue = self.environment
+        constants = {
+            **self._mesh, **self._surfaces, **self._lights, "light_count": self._light_count,
+            "emitter_count": self._emitter_count, "inverse_power": self._inverse_power,
+            "environment_r": red, "environment_g": green, "environment_b": blue,
+        }  # fmt: skip
+        return PathStreams(
+            self.device, self.features, self.tracer, self._lists, constants, self.shows_shadows, self._count_kinds,
+            self._count_light,
+        )  # fmt: skip
+
+    def _count_light(self, count: int) -> None:
+        self.counts["rays_shadow"] += count
 
     def _find_face_normals(self, triangle_count: int) -> cl.Buffer:
         """[triangle_count] float4, unit normals of the triangles, world space."""
@@ -152,7 +169,8 @@ class Integrator:
 
     @property
     def launches(self) -> int:
-        return self.own_launches + self.tracer.launches + self._lists.launches
+        streams = 0 if self._streams is None else self._streams.launches
+        return self.own_launches + streams + self.tracer.launches + self._lists.launches
 
     @staticmethod
     def bytes_per_pixel(filters: bool) -> int:
@@ -250,6 +268,10 @@ class Integrator:
         return done
 
     def _trace_path(self, items: Items, path: int, generations: int, sums: cl.Buffer, pixel_count: int) -> None:
+        if self._streams is not None:
+            hits = {**items.hits, "item_origins": items.origins, "item_keys": items.keys}
+            self._streams.trace(hits, pixel_count, path, self.depths.seed, generations, sums, self._booked)
+            return
         for depth in range(generations + 1):
             is_last = depth == generations
             radiances = self._booked("light", partial(self._light, items, path, depth, is_last))

@@ -44,18 +44,25 @@ class FlagList:
 
         flags : [count] uchar.
         """
+        begins, found = self.count(flags, count)
+        listed = self._room(name, 4 * found)
+        if found:
+            self._launch(
+                "list_edge_pixels", -(-count // LIST_CHUNK), pixel_count=count, edge_flags=flags, begins=begins,
+                edge_pixels=listed, edge_places=self._room("places", 4 * count),
+            )  # fmt: skip
+        return listed, found
+
+    def count(self, flags: cl.Buffer, count: int) -> tuple[cl.Buffer, int]:
+        """How many flags before each LIST_CHUNK of them are not 0, [chunks + 1] uint, and how many in all. Waits.
+
+        flags : [count] uchar.
+        """
         chunks = -(-count // LIST_CHUNK)
         counts, begins = self._room("counts", 4 * chunks), self._room("begins", 4 * (chunks + 1))
         self._launch("count_flags", chunks, count=count, flags=flags, chunk_counts=counts)
         self._launch("scan_counts", 1, count=chunks, counts=counts, begins=begins)
-        found = int(buffers.download(self.device, begins, np.uint32, 1, offset=4 * chunks)[0])
-        listed = self._room(name, 4 * found)
-        if found:
-            self._launch(
-                "list_edge_pixels", chunks, pixel_count=count, edge_flags=flags, begins=begins, edge_pixels=listed,
-                edge_places=self._room("places", 4 * count),
-            )  # fmt: skip
-        return listed, found
+        return begins, int(buffers.download(self.device, begins, np.uint32, 1, offset=4 * chunks)[0])
 
     def _launch(self, kernel: str, items: int, **arguments: Any) -> None:
         self._program.launch(kernel, items, 1, **arguments)
