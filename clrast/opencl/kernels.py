@@ -248,8 +248,8 @@ float64, the order of triangles, the stack's capacity and what decides whether r
 made of leaves them as they are."""
 
 PATH_PROGRAMS = ("shade_paths.cl",)
-"""Programs that look surfaces up for paths and let rays leave them: as exact as RAY_PROGRAMS, with all that surfaces are
-made of, unfiltered."""
+"""Programs that look surfaces up for paths and let rays leave them: as exact as RAY_PROGRAMS, with all
+that surfaces are made of, unfiltered."""
 
 
 def build(device: Device, name: str, features: Features | None = None, folder: Path | None = None) -> Program:

@@ -1,7 +1,7 @@
 """Paths, a generation of all pixels at a time: cl/shade_paths.cl between two traces.
 
-Purcell et al., 'Ray Tracing on Programmable Graphics Hardware', section 3: kernels joined by streams. Where textures are
-filtered integrator.py takes its longer way, which carries footprints; both give the same bits.
+Purcell et al., 'Ray Tracing on Programmable Graphics Hardware', section 3: kernels joined by streams. Where textures
+are filtered integrator.py takes its longer way, which carries footprints; both give the same bits.
 """
 
 from __future__ import annotations
@@ -122,7 +122,9 @@ class PathStreams:
         if not ray_count:
             return None
         self.count(slots["next_kinds"], count)
-        sizes = {"origins": 16, "directions": 16, "item_throughputs": 16, "excluded": 4, "item_pixels": 4, "item_keys": 4}
+        sizes = {
+            "origins": 16, "directions": 16, "item_throughputs": 16, "excluded": 4, "item_pixels": 4, "item_keys": 4,
+        }  # fmt: skip
         if self._draws:
             sizes["ray_keys"] = 4
         # Rays that leave items and those that have arrived there take turns.
@@ -136,7 +138,8 @@ class PathStreams:
         draw = {"ray_keys": made["ray_keys"], "path": draws["path"]} if self._draws else {}
         found = self.tracer.enqueue_closest(RayBuffers(ray_count, arguments, draws=draw))
         return {
-            "item_prims": found["prims_hit"], "item_weights": found["weights"], "item_positions": items["item_positions"],
+            "item_prims": found["prims_hit"], "item_weights": found["weights"],
+            "item_positions": items["item_positions"],
             "item_directions": made["directions"], "item_throughputs": made["item_throughputs"],
             "item_origins": made["origins"], "item_keys": made["item_keys"], "item_pixels": made["item_pixels"],
         }, ray_count  # fmt: skip
