@@ -62,6 +62,12 @@ def test_expected_rays_are_near_those_of_the_render(card: str, capsys: pytest.Ca
     assert "trace_any" in rows["shadow"]["kernels"]  # type: ignore[operator]
 
 
+def test_kernels_of_paths_are_named(card: str, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = explained(capsys, card, "--mode", "path", "--plan-only")
+    assert rows["shadow"]["kernels"] == ["shade_paths", "trace_any", "add_paths"]
+    assert "shade_paths" in rows["indirect light"]["kernels"]  # type: ignore[operator]
+
+
 def test_the_structure_of_secondary_rays_is_named(card: str, capsys: pytest.CaptureFixture[str]) -> None:
     taken = {}
     for name, what in (("auto", "BVH"), ("bvh", "BVH"), ("grid", "uniform grid")):

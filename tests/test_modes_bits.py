@@ -14,6 +14,7 @@ from clrast.errors import CapacityError
 from clrast.image.frame import Frame
 from clrast.opencl.device import VECTOR_WIDTHS, Device, open_device
 from clrast.scene.model import Light, Material, Scene, Texture, TextureUse
+from clrast.shading.integrator import Integrator
 
 VIEW = replace(looking(40, (1.5, -4, 3), (0, 0, 0.6), 1 / 32))
 LAMP = Material("lamp", (0.2, 0.2, 0.2, 1.0), emissive=(6.0, 4.0, 2.0))
@@ -72,6 +73,17 @@ def test_the_device_s_own_vector_width(first_device: Device) -> None:
     """And one: of a scene without masks, whose programs other tests build, too."""
     wide = open_device(first_device.runtime)
     assert_same(*(traced(each, EDGES, VIEW, "path", **PATHS) for each in (wide, first_device)))
+
+
+def test_one_kernel_between_two_traces(first_device: Device, usual: Frame, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gives the bits of the longer way, by light_hits.cl and scatter_rays.cl, in one lane and in several."""
+    wide = open_device(first_device.runtime)
+    short = traced(wide, EDGES, VIEW, "path", **PATHS)
+    monkeypatch.setattr(Integrator, "_path_streams", lambda self: None)
+    longer = traced(first_device, SCENE, VIEW, "path", **PATHS)
+    assert_same(longer, usual)
+    assert longer.stats["effect_costs"]["shadow"]["launches"] != usual.stats["effect_costs"]["shadow"]["launches"]
+    assert_same(traced(wide, EDGES, VIEW, "path", **PATHS), short)
 
 
 @pytest.mark.parametrize("threads", [1, 2])

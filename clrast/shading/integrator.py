@@ -1,8 +1,9 @@
 """Light that takes more than the camera's rays to find: shadows, mirrors, glass, paths.
 
 Purcell et al., 'Ray Tracing on Programmable Graphics Hardware', section 3: kernels joined by streams, weights in place
-of recursion. The kernels are cl/light_hits.cl, cl/scatter_rays.cl, cl/trace_rays.cl; hits of the camera's samples come
-from any method of the continuum. A generation is: light that reaches the hits, rays that go on, what they hit.
+of recursion. The kernels are cl/light_hits.cl, cl/scatter_rays.cl, cl/trace_rays.cl; paths without footprints take
+path_streams.py. Hits of the camera's samples come from any method of the continuum. A generation is: light that reaches
+the hits, rays that go on, what they hit.
 """
 
 from __future__ import annotations
@@ -297,10 +298,8 @@ class Integrator:
             environment_r=red, environment_g=green, environment_b=blue, item_origins=items.origins,
             radiances=radiances,
         )  # fmt: skip
-        ends = {
-            "slot_ends": self._room("slot_ends", 16 * items.count),
-            "slot_lamps": self._room("slot_lamps", 4 * items.count),
-        }
+        sizes = {"slot_ends": 16, "slot_lamps": 4}
+        ends = {name: self._room(name, size * items.count) for name, size in sizes.items()}
         brought = {"slot_radiances": self._room("slot_radiances", 16 * items.count)}
         kinds = self._room("slot_kinds", items.count)
         for light in range(self._rounds):

@@ -36,6 +36,13 @@ KERNELS = {
 }
 """Effect -> kernels that are launched for it, or that it adds to."""
 
+STREAM_KERNELS = {
+    "shadow": ("shade_paths", "trace_any", "add_paths"),
+    "indirect light": ("shade_paths", "gather_rays", "trace_closest"),
+    "environment": ("shade_paths",),
+}
+"""Those of paths whose textures are not filtered, which replace them: shading/path_streams.py."""
+
 MARGINAL = ("emission", "textures", "normal interpolation", "alpha mask", "alpha blend")
 """Effects that trace no rays: what they take is the difference to a probe without them."""
 
@@ -114,7 +121,9 @@ def explain(scene: Scene, camera: Camera, options: RenderOptions, probes: bool =
 
 def _row(plan: EffectPlan, name: str, bytes_of: dict[str, int], rays: int | None, ms: float | None) -> Row:
     effect = next(each for each in plan.effects if each.name == name)
-    kernels = KERNELS.get(name, ()) if effect.on else ()
+    filters = plan["derivatives"] and plan["textures"]
+    launched = {**KERNELS, **STREAM_KERNELS} if plan["indirect light"] and not filters else KERNELS
+    kernels = launched.get(name, ()) if effect.on else ()
     return Row(name, effect.on, effect.reason, kernels, bytes_of[name] if effect.on else 0, rays, ms)
 
 
