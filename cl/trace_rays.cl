@@ -22,29 +22,108 @@
 #include "walk_grid.clh"
 #endif
 
+// Rays that a work item has under way at once: vectors lie over the children of nodes, and caches are near.
+#if LEAF_ORDER && VECTOR_WIDTH > 1
+#define RAYS_IN_FLIGHT 4
+#else
+#define RAYS_IN_FLIGHT 1
+#endif
+#define RAYS_OF_ITEM (VECTOR_WIDTH > 1 ? RAYS_PER_ITEM : 1)
+
+// Rays of a launch, and where their answers go.
+typedef struct {
+  uint count;
+  global const float4 *origins, *directions;
+  global const uint *excluded;
+  global const float4 *ends;       // of any hit; or null
+  global const uint *lamp_slots;
+#if PANES_ARE_DRAWN
+  global const uint *keys;
+  uint path;
+#endif
+  global uint *prims_hit;
+  global float2 *distances;
+  global float4 *weights;
+  global uint *occluded;
+} Rays;
+
+// A ray that is to set out. Where t_min .. t_max is empty it meets nothing.
+static void begin(const Accelerator *a, const Rays *rays, uint item, bool any_hit, Walk *walk) {
+  walk->item = item;
+  walk->improved = false;
+  walk->best = nothing_hit();
+  walk->ray = make_ray(rays->origins[item], rays->directions[item], rays->excluded[item]);
+#if PANES_ARE_DRAWN
+  walk->ray.key = rays->keys[item];
+  walk->ray.path = rays->path;
+#endif
+  if (any_hit && rays->ends) {
+    walk->ray.end = rays->ends[item];
+    const uint lamp = rays->lamp_slots[item];
+    if (lamp != NO_HIT && meet_slot(&a->leaves, &walk->ray, lamp, &walk->best)) {
+      walk->ray.end.w = 0.0f;
+      walk->ray.t_max = INFINITY;
+    }
+  }
+  if (!(walk->ray.t_min < walk->ray.t_max)) walk->best.high = -INFINITY;
+  set_out(walk);
+}
+
+INLINE void write_closest(const Rays *rays, const Walk *walk) {
+  const Best *best = &walk->best;
+  const bool hit = best->prim_id != NO_HIT;
+  rays->prims_hit[walk->item] = best->prim_id;
+  rays->distances[walk->item] =
+      hit ? (float2)(best->t, max(best->high - best->t, best->t - best->low)) : (float2)(INFINITY, 0.0f);
+  rays->weights[walk->item] = hit ? weigh_hit(best) : (float4)(0.0f);
+}
+
+// The rays of a work item, RAYS_IN_FLIGHT at a time in turn: what one waits for comes while others are at it.
+INLINE void trace_rays(const Accelerator *a, const Rays *rays, bool any_hit) {
+  Walk walks[RAYS_IN_FLIGHT];
+  uint order[RAYS_IN_FLIGHT];
+  uint next = get_global_id(0) * RAYS_OF_ITEM, live = 0;
+  const uint end = min(next + RAYS_OF_ITEM, rays->count);
+  for (; live < RAYS_IN_FLIGHT && next < end; ++live) {
+    order[live] = live;
+    begin(a, rays, next++, any_hit, &walks[live]);
+  }
+  while (live != 0) {
+    for (uint k = 0; k < live; ++k) {
+      Walk *walk = &walks[order[k]];
+      if (go_on(a, walk, any_hit)) continue;
+      if (any_hit)
+        rays->occluded[walk->item] = walk->improved;
+      else
+        write_closest(rays, walk);
+      if (next < end)
+        begin(a, rays, next++, any_hit, walk);
+      else
+        order[k] = order[--live];
+    }
+  }
+}
+
 // Reads: corners (prepare_triangles), the hierarchy or the grid's cells (host), blocks (pack_leaves). Writes: prims_hit,
-// distances, weights (for arrive, offset_origins and the host). Work item: one ray. Local memory: 0 bytes.
+// distances, weights (for arrive, offset_origins and the host). Work item: RAYS_OF_ITEM rays. Local memory: 0 bytes.
 kernel void trace_closest(
     uint ray_count,
     global const float4 *restrict origins,     // [ray_count] xyz world space, w t_min, exclusive, not negative
     global const float4 *restrict directions,  // [ray_count] xyz, any length within 2^-60 .. 2^60, w t_max, exclusive
     global const uint *restrict excluded,      // [ray_count] prim_id that the ray does not meet, or NO_HIT
     global const float *restrict blocks,       // [block_count * BLOCK_WORDS * BLOCK_LANES], see Leaves
-    global const uint *restrict block_places,  // [block_count]
     global const float4 *restrict corners,     // [3 * triangle_count] by slot
     global const uint *restrict prims,         // [places] prim_id of each place in the leaves
 #if LEAF_ORDER
-    global const uint *restrict children,      // [nodes * NODE_WIDTH], see walk_hierarchy.clh
-    global const float *restrict node_boxes,   // [nodes * 6 * NODE_WIDTH]
+    global const float *restrict nodes,        // [nodes * NODE_WORDS], see walk_hierarchy.clh
 #else
     Grid grid,
     float farthest,                            // sum of an origin's distances from the grid's corner for a walk
     float longest,                             // side of a triangle's box
     global const uint2 *restrict cells,        // [cell_count] first block and triangles of each
 #endif
-    global const float4 *restrict positions,   // [vertex_count] world space
-    global const uint *restrict indices,       // [3 * triangle_count] vertices
 #if MASKED
+    global const uint *restrict indices,       // [3 * triangle_count] vertices
     global const uint *restrict material_ids,  // [triangle_count]
     global const Material *restrict materials, // [material_count]
     global const Texture *restrict textures,   // [texture_count]
@@ -62,41 +141,29 @@ kernel void trace_closest(
     global float2 *restrict distances,         // [ray_count] t (+inf: no hit), bound of its error
     global float4 *restrict weights)           // [ray_count] barycentrics b0 b1 b2 in the order of indices, w 0
 {
-  const uint item = get_global_id(0);
-  if (item >= ray_count) return;
+  if (get_global_id(0) * RAYS_OF_ITEM >= ray_count) return;
   const Accelerator a = {
-      {blocks, block_places, prims, corners
+      {blocks, corners, prims
 #if MASKED
-       , positions, indices, {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors}
+       , indices, {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors}
 #endif
       },
 #if LEAF_ORDER
-      children, node_boxes
+      nodes
 #else
       grid, cells, farthest, longest
 #endif
   };
-  Ray ray = make_ray(origins[item], directions[item], excluded[item]);
+  const Rays rays = {ray_count, origins, directions, excluded, 0, 0,
 #if PANES_ARE_DRAWN
-  ray.key = ray_keys[item];
-  ray.path = path;
+                     ray_keys, path,
 #endif
-  Best best = nothing_hit();
-  trace(&a, ray, false, &best);
-  prims_hit[item] = best.prim_id;
-  if (best.prim_id == NO_HIT) {
-    distances[item] = (float2)(INFINITY, 0.0f);
-    weights[item] = (float4)(0.0f);
-    return;
-  }
-  distances[item] = (float2)(best.t, max(best.high - best.t, best.t - best.low));
-  global const uint *vertices = indices + 3 * (size_t)best.prim_id;
-  weights[item] = weigh_vertices_of(corners[3 * (size_t)best.slot], positions, vertices, best.edge);
+                     prims_hit, distances, weights, 0};
+  trace_rays(&a, &rays, false);
 }
 
-// Reads: corners (prepare_triangles), the hierarchy or the grid's cells (host), blocks (pack_leaves), ends,
-// lamp_slots (leave_for_light). Writes: occluded (for
-// add_light and the host). Work item: one ray. Local memory: 0 bytes.
+// Reads: corners (prepare_triangles), the hierarchy or the grid's cells (host), blocks (pack_leaves), ends, lamp_slots
+// (leave_for_light). Writes: occluded (for add_light and the host). Work item: RAYS_OF_ITEM rays. Local memory: 0 bytes.
 kernel void trace_any(
     uint ray_count,
     global const float4 *restrict origins,     // [ray_count] xyz world space, w t_min, exclusive, not negative
@@ -105,12 +172,10 @@ kernel void trace_any(
     global const float4 *restrict ends,        // [ray_count] w 1: hits count before the point xyz, and t_max is 1; else 0
     global const uint *restrict lamp_slots,    // [ray_count] hits count before this triangle, where it is met; or NO_HIT
     global const float *restrict blocks,       // [block_count * BLOCK_WORDS * BLOCK_LANES], see Leaves
-    global const uint *restrict block_places,  // [block_count]
     global const float4 *restrict corners,     // [3 * triangle_count] by slot
     global const uint *restrict prims,         // [places] prim_id of each place in the leaves
 #if LEAF_ORDER
-    global const uint *restrict children,      // [nodes * NODE_WIDTH], see walk_hierarchy.clh
-    global const float *restrict node_boxes,   // [nodes * 6 * NODE_WIDTH]
+    global const float *restrict nodes,        // [nodes * NODE_WORDS], see walk_hierarchy.clh
 #else
     Grid grid,
     float farthest,                            // sum of an origin's distances from the grid's corner for a walk
@@ -118,7 +183,6 @@ kernel void trace_any(
     global const uint2 *restrict cells,        // [cell_count] first block and triangles of each
 #endif
 #if MASKED
-    global const float4 *restrict positions,   // [vertex_count] world space
     global const uint *restrict indices,       // [3 * triangle_count] vertices
     global const uint *restrict material_ids,  // [triangle_count]
     global const Material *restrict materials, // [material_count]
@@ -135,32 +199,25 @@ kernel void trace_any(
 #endif
     global uint *restrict occluded)            // [ray_count] 1: something is hit, else 0
 {
-  const uint item = get_global_id(0);
-  if (item >= ray_count) return;
+  if (get_global_id(0) * RAYS_OF_ITEM >= ray_count) return;
   const Accelerator a = {
-      {blocks, block_places, prims, corners
+      {blocks, corners, prims
 #if MASKED
-       , positions, indices, {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors}
+       , indices, {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors}
 #endif
       },
 #if LEAF_ORDER
-      children, node_boxes
+      nodes
 #else
       grid, cells, farthest, longest
 #endif
   };
-  Ray ray = make_ray(origins[item], directions[item], excluded[item]);
+  const Rays rays = {ray_count, origins, directions, excluded, ends, lamp_slots,
 #if PANES_ARE_DRAWN
-  ray.key = ray_keys[item];
-  ray.path = path;
+                     ray_keys, path,
 #endif
-  Best best = nothing_hit();
-  ray.end = ends[item];
-  if (lamp_slots[item] != NO_HIT && meet_slot(&a.leaves, ray, lamp_slots[item], &best)) {
-    ray.end.w = 0.0f;
-    ray.t_max = INFINITY;
-  }
-  occluded[item] = trace(&a, ray, true, &best);
+                     0, 0, 0, occluded};
+  trace_rays(&a, &rays, true);
 }
 
 // Reads: corners (prepare_triangles), prims, block_places, block_counts (host, or order_cell_triangles). Writes: blocks (for
@@ -168,6 +225,8 @@ kernel void trace_any(
 kernel void pack_leaves(
     uint block_count,
     global const float4 *restrict corners,     // [3 * triangle_count] by slot
+    global const float4 *restrict positions,   // [vertex_count] world space
+    global const uint *restrict indices,       // [3 * triangle_count] vertices
     global const uint *restrict prims,         // [places] prim_id of each place in the leaves
     global const uint *restrict block_places,  // [block_count] where in prims a block's first triangle stands
     global const uint *restrict block_counts,  // [block_count] its triangles: the last of them fills what is left
@@ -178,11 +237,17 @@ kernel void pack_leaves(
   global float *own = blocks + (size_t)block * (BLOCK_WORDS * BLOCK_LANES);
   for (uint lane = 0; lane < BLOCK_LANES; ++lane) {
     const uint place = block_places[block] + min(lane, block_counts[block] - 1);
-    global const float4 *from = corners + 3 * (size_t)slot_of(place, prims[place]);
+    const uint prim_id = prims[place];
+    global const float4 *from = corners + 3 * (size_t)slot_of(place, prim_id);
     for (uint k = 0; k < 3; ++k) {
       own[(3 * k) * BLOCK_LANES + lane] = from[k].x;
       own[(3 * k + 1) * BLOCK_LANES + lane] = from[k].y;
       own[(3 * k + 2) * BLOCK_LANES + lane] = from[k].z;
     }
+    // Where vertices coincide either turn names the same points.
+    global const uint *vertices = indices + 3 * (size_t)prim_id;
+    const uint turn =
+        same_point(positions[vertices[0]], from[0]) ? 0 : (same_point(positions[vertices[1]], from[0]) ? 1 : 2);
+    ((global uint *)own)[(BLOCK_WORDS - 1) * BLOCK_LANES + lane] = turn << TURN_LOG2 | prim_id;
   }
 }

@@ -111,8 +111,17 @@ MAX_LEAF_COUNT = 16
 BLOCK_LANES = 8
 """Triangles of a block of a leaf, for rays; a leaf has whole blocks."""
 
-BLOCK_WORDS = 9
-"""Numbers of each triangle in a block: three corners."""
+BLOCK_WORDS = 10
+"""Words of each triangle in a block: three corners, and one for its prim_id and its turn."""
+
+TURN_LOG2 = 30
+"""Of that word: the turn of the corners stands above the prim_id."""
+
+NODE_WORDS = 7 * NODE_WIDTH
+"""Words of a node of the BVH, for rays: six of each child's box, and what the child is."""
+
+RAYS_PER_ITEM = 64
+"""Rays of any origin and direction that one work item traces."""
 
 LEAF_SLOT_LOG2 = 27
 LEAF_SLOT = (1 << LEAF_SLOT_LOG2) - 1

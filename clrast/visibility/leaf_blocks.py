@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from clrast.errors import CapacityError
-from clrast.opencl.layout import BLOCK_LANES, BLOCK_WORDS, LEAF_BIT, LEAF_SLOT, LEAF_SLOT_LOG2, MAX_LEAF_COUNT
+from clrast.opencl.layout import BLOCK_LANES, BLOCK_WORDS, LEAF_BIT, LEAF_SLOT, LEAF_SLOT_LOG2, MAX_LEAF_COUNT, NODE_WORDS
 from clrast.visibility.bvh import Bvh
 
-BLOCK_BYTES = 4 * BLOCK_WORDS * BLOCK_LANES + 4
-"""Device bytes of a block, and of where it begins."""
+BLOCK_BYTES = 4 * BLOCK_WORDS * BLOCK_LANES
+"""Device bytes of a block."""
 
 
 def blocks_of_lists(begins: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -31,8 +31,9 @@ def blocks_of_lists(begins: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray,
 
 
 def leaf_blocks(bvh: Bvh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Children as trace_rays.cl takes them, leaves with the number of their triangles and their first block; and of all
-    blocks the first places and the numbers of triangles: uint32 arrays. Raises CapacityError."""
+    """Nodes as trace_rays.cl takes them, (node_count, NODE_WORDS) float32: boxes and then children, uint32 by their bits,
+    leaves with the number of their triangles and their first block. And of all blocks the first places and the numbers of
+    triangles, uint32. Raises CapacityError."""
     is_leaf = bvh.counts > 0
     counts = bvh.counts[is_leaf].astype(np.int64)
     firsts, places, inside = blocks_of_lists(bvh.children[is_leaf] & ~np.uint32(LEAF_BIT), counts)
@@ -42,4 +43,5 @@ def leaf_blocks(bvh: Bvh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         raise CapacityError(f"rays take at most {allowed}, here are {len(places)} and {most}: take a smaller scene")
     children = bvh.children.copy()
     children[is_leaf] = LEAF_BIT | (counts - 1) << LEAF_SLOT_LOG2 | firsts
-    return children, places, inside
+    nodes = np.concatenate([bvh.boxes, children.view(np.float32)[:, None]], axis=1)
+    return nodes.reshape(-1, NODE_WORDS), places, inside

@@ -17,7 +17,7 @@ from clrast.errors import DeviceError, SceneError, UsageError
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features, Precision, Projection
-from clrast.opencl.layout import BLOCK_LANES, BLOCK_WORDS, NO_HIT
+from clrast.opencl.layout import NO_HIT, RAYS_PER_ITEM
 from clrast.opencl.runtimes import PREFETCHING
 from clrast.visibility.bvh import Bvh, build_bvh
 from clrast.visibility.frusta import stack_capacity
@@ -182,31 +182,30 @@ class RayTracer:
             self.nbytes = grid.nbytes
         self.nbytes += BLOCK_BYTES * len(places)
         leaves = {
-            "blocks": buffers.create(device, 4 * BLOCK_WORDS * BLOCK_LANES * len(places)),
-            "block_places": buffers.upload(device, places),
+            "blocks": buffers.create(device, BLOCK_BYTES * len(places)),
             "corners": geometry.corners,
             "prims": structure.pop("prims"),
         }
         self._scene = {**leaves, **structure}
+        self._vertices = {"positions": geometry.world_positions, "indices": geometry.indices}
         self._program.launch(
             "pack_leaves",
             -(-len(places) // WORK_GROUP) * WORK_GROUP,
             WORK_GROUP,
             block_count=len(places),
+            block_places=buffers.upload(device, places),
             block_counts=buffers.upload(device, counts),
             **leaves,
+            **self._vertices,
         )
-        self._vertices = {"positions": geometry.world_positions, "indices": geometry.indices}
 
     def _hierarchy_arguments(self) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
         """Arguments that are a BVH's, and its blocks' places and counts."""
         bvh = self.geometry.bvh
         assert bvh is not None
-        children, places, counts = leaf_blocks(bvh)
-        self.nbytes = children.nbytes + bvh.boxes.nbytes
-        nodes = {"children": children, "node_boxes": bvh.boxes}
-        made = {name: buffers.upload(self.device, each) for name, each in nodes.items()}
-        return {"prims": self.geometry.prims, **made}, places, counts
+        nodes, places, counts = leaf_blocks(bvh)
+        self.nbytes = nodes.nbytes
+        return {"prims": self.geometry.prims, "nodes": buffers.upload(self.device, nodes)}, places, counts
 
     def closest(
         self,
@@ -248,24 +247,25 @@ class RayTracer:
             "distances": buffers.create(self.device, 8 * rays.count),
             "weights": buffers.create(self.device, 16 * rays.count),
         }
-        of_scene = {**self._scene, **self._vertices, **self._masks, **self._draws(rays)}
-        self._launch(self._program, "trace_closest", rays.count, **rays.arguments, **of_scene, **made)
+        self._trace("trace_closest", rays, **made)
         return made
 
     def enqueue_any(self, rays: RayBuffers) -> cl.Buffer:
         """Enqueue `any` of rays on the device; returns [ray_count] uint, 1 where something is hit."""
         occluded = buffers.create(self.device, 4 * rays.count)
-        masks = {**self._vertices, **self._masks, **self._draws(rays)} if self._masks else {}
-        ends = rays.ends or {
-            "ends": buffers.filled(self.device, np.float32(0), 16 * rays.count),
-            "lamp_slots": buffers.filled(self.device, np.uint32(NO_HIT), 4 * rays.count),
-        }
-        self._launch(self._program, "trace_any", rays.count, **rays.arguments, **ends, **self._scene, **masks,
-                     occluded=occluded)  # fmt: skip
+        ends = rays.ends or {"ends": None, "lamp_slots": None}
+        self._trace("trace_any", rays, **ends, occluded=occluded)
         return occluded
 
-    def _draws(self, rays: RayBuffers) -> dict[str, Any]:
-        return rays.draws if self.features.alpha_blend and self.features.indirect else {}
+    def _trace(self, kernel: str, rays: RayBuffers, **others: Any) -> None:
+        masks = {"indices": self.geometry.indices, **self._masks} if self._masks else {}
+        draws = rays.draws if self.features.alpha_blend and self.features.indirect else {}
+        arguments = {**rays.arguments, **self._scene, **masks, **draws, **others}
+        per_item, group = (RAYS_PER_ITEM, 1) if self.features.vector_width > 1 else (1, WORK_GROUP)
+        if rays.count:
+            items = -(-rays.count // (per_item * group)) * group
+            self._program.launch(kernel, items, group, ray_count=rays.count, **arguments)
+            self.launches += 1
 
     def enqueue_leave(self, count: int, path: int, **streams: Any) -> RayBuffers:
         """Enqueue leave_hits, which see: rays on the device that go on from items of streams.
