@@ -15,94 +15,13 @@
 #include "settled_tests.clh"
 #include "intersect_triangle.clh"
 #include "leaf_hits.clh"
+#include "ray_batch.clh"
 #if LEAF_ORDER
 #include "walk_hierarchy.clh"
 #else
 #include "grid.clh"
 #include "walk_grid.clh"
 #endif
-
-// Rays that a work item has under way at once: vectors lie over the children of nodes, and caches are near.
-#if LEAF_ORDER && VECTOR_WIDTH > 1
-#define RAYS_IN_FLIGHT 4
-#else
-#define RAYS_IN_FLIGHT 1
-#endif
-#define RAYS_OF_ITEM (VECTOR_WIDTH > 1 ? RAYS_PER_ITEM : 1)
-
-// Rays of a launch, and where their answers go.
-typedef struct {
-  uint count;
-  global const float4 *origins, *directions;
-  global const uint *excluded;
-  global const float4 *ends;       // of any hit; or null
-  global const uint *lamp_slots;
-#if PANES_ARE_DRAWN
-  global const uint *keys;
-  uint path;
-#endif
-  global uint *prims_hit;
-  global float2 *distances;
-  global float4 *weights;
-  global uint *occluded;
-} Rays;
-
-// A ray that is to set out. Where t_min .. t_max is empty it meets nothing.
-static void begin(const Accelerator *a, const Rays *rays, uint item, bool any_hit, Walk *walk) {
-  walk->item = item;
-  walk->improved = false;
-  walk->best = nothing_hit();
-  walk->ray = make_ray(rays->origins[item], rays->directions[item], rays->excluded[item]);
-#if PANES_ARE_DRAWN
-  walk->ray.key = rays->keys[item];
-  walk->ray.path = rays->path;
-#endif
-  if (any_hit && rays->ends) {
-    walk->ray.end = rays->ends[item];
-    const uint lamp = rays->lamp_slots[item];
-    if (lamp != NO_HIT && meet_slot(&a->leaves, &walk->ray, lamp, &walk->best)) {
-      walk->ray.end.w = 0.0f;
-      walk->ray.t_max = INFINITY;
-    }
-  }
-  if (!(walk->ray.t_min < walk->ray.t_max)) walk->best.high = -INFINITY;
-  set_out(walk);
-}
-
-INLINE void write_closest(const Rays *rays, const Walk *walk) {
-  const Best *best = &walk->best;
-  const bool hit = best->prim_id != NO_HIT;
-  rays->prims_hit[walk->item] = best->prim_id;
-  rays->distances[walk->item] =
-      hit ? (float2)(best->t, max(best->high - best->t, best->t - best->low)) : (float2)(INFINITY, 0.0f);
-  rays->weights[walk->item] = hit ? weigh_hit(best) : (float4)(0.0f);
-}
-
-// The rays of a work item, RAYS_IN_FLIGHT at a time in turn: what one waits for comes while others are at it.
-INLINE void trace_rays(const Accelerator *a, const Rays *rays, bool any_hit) {
-  Walk walks[RAYS_IN_FLIGHT];
-  uint order[RAYS_IN_FLIGHT];
-  uint next = get_global_id(0) * RAYS_OF_ITEM, live = 0;
-  const uint end = min(next + RAYS_OF_ITEM, rays->count);
-  for (; live < RAYS_IN_FLIGHT && next < end; ++live) {
-    order[live] = live;
-    begin(a, rays, next++, any_hit, &walks[live]);
-  }
-  while (live != 0) {
-    for (uint k = 0; k < live; ++k) {
-      Walk *walk = &walks[order[k]];
-      if (go_on(a, walk, any_hit)) continue;
-      if (any_hit)
-        rays->occluded[walk->item] = walk->improved;
-      else
-        write_closest(rays, walk);
-      if (next < end)
-        begin(a, rays, next++, any_hit, walk);
-      else
-        order[k] = order[--live];
-    }
-  }
-}
 
 // Reads: corners (prepare_triangles), the hierarchy or the grid's cells (host), blocks (pack_leaves). Writes: prims_hit,
 // distances, weights (for arrive, offset_origins and the host). Work item: RAYS_OF_ITEM rays. Local memory: 0 bytes.
@@ -141,7 +60,8 @@ kernel void trace_closest(
     global float2 *restrict distances,         // [ray_count] t (+inf: no hit), bound of its error
     global float4 *restrict weights)           // [ray_count] barycentrics b0 b1 b2 in the order of indices, w 0
 {
-  if (get_global_id(0) * RAYS_OF_ITEM >= ray_count) return;
+  const uint first = get_global_id(0) * RAYS_OF_ITEM;
+  if (first >= ray_count) return;
   const Accelerator a = {
       {blocks, corners, prims
 #if MASKED
@@ -154,12 +74,12 @@ kernel void trace_closest(
       grid, cells, farthest, longest
 #endif
   };
-  const Rays rays = {ray_count, origins, directions, excluded, 0, 0,
+  const Rays rays = {origins, directions, excluded, 0, 0,
 #if PANES_ARE_DRAWN
                      ray_keys, path,
 #endif
                      prims_hit, distances, weights, 0};
-  trace_rays(&a, &rays, false);
+  trace_rays(&a, &rays, first, min(first + RAYS_OF_ITEM, ray_count), false);
 }
 
 // Reads: corners (prepare_triangles), the hierarchy or the grid's cells (host), blocks (pack_leaves), ends, lamp_slots
@@ -199,7 +119,8 @@ kernel void trace_any(
 #endif
     global uint *restrict occluded)            // [ray_count] 1: something is hit, else 0
 {
-  if (get_global_id(0) * RAYS_OF_ITEM >= ray_count) return;
+  const uint first = get_global_id(0) * RAYS_OF_ITEM;
+  if (first >= ray_count) return;
   const Accelerator a = {
       {blocks, corners, prims
 #if MASKED
@@ -212,12 +133,12 @@ kernel void trace_any(
       grid, cells, farthest, longest
 #endif
   };
-  const Rays rays = {ray_count, origins, directions, excluded, ends, lamp_slots,
+  const Rays rays = {origins, directions, excluded, ends, lamp_slots,
 #if PANES_ARE_DRAWN
                      ray_keys, path,
 #endif
                      0, 0, 0, occluded};
-  trace_rays(&a, &rays, true);
+  trace_rays(&a, &rays, first, min(first + RAYS_OF_ITEM, ray_count), true);
 }
 
 // Reads: corners (prepare_triangles), prims, block_places, block_counts (host, or order_cell_triangles). Writes: blocks (for

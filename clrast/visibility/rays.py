@@ -20,7 +20,6 @@ from clrast.opencl.features import Features, Precision, Projection
 from clrast.opencl.layout import NO_HIT, RAYS_PER_ITEM
 from clrast.opencl.runtimes import PREFETCHING
 from clrast.visibility.bvh import Bvh, build_bvh
-from clrast.visibility.frusta import stack_capacity
 from clrast.visibility.geometry import Geometry, build_geometry
 from clrast.visibility.leaf_blocks import BLOCK_BYTES, leaf_blocks
 from clrast.visibility.loop_limits import loop_limit
@@ -31,8 +30,8 @@ if TYPE_CHECKING:
 
 WORK_GROUP = 16
 
-MIN_STACK = 128
-"""Entries of a ray's stack at least, so that all but the deepest hierarchies share one program."""
+MIN_STACK = 15
+"""Levels of a ray's stack at least, so that all but the deepest hierarchies share one program."""
 
 MAX_COORDINATE = 2.0**60
 """Of vertices and origins: products of three stay in float32's range."""
@@ -86,7 +85,7 @@ def ray_features(device: Device, bvh: Bvh | None, **masks: Any) -> Features:
         float64=device.has_fp64,
         leaf_order=bvh is not None,
         prefetch=device.runtime in PREFETCHING,
-        stack_capacity=1 if bvh is None else max(MIN_STACK, stack_capacity(bvh.depth, 0)),
+        stack_capacity=1 if bvh is None else max(MIN_STACK, bvh.depth),
         **masks,
     )
 
