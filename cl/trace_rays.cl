@@ -1,6 +1,6 @@
 // Traces arrays of any rays through a scene: the closest hit, and any hit.
 //
-// One work item is one ray, which walks the scene's acceleration structure and tests the leaves that it comes to:
+// One work item is RAYS_OF_ITEM rays, which walk the scene's acceleration structure and test the leaves that they come to:
 //   a BVH (walk_hierarchy.clh) where triangles lie in the order of its leaves: LEAF_ORDER
 //   a uniform grid (walk_grid.clh) elsewhere
 // What is hit is decided by the leaves' test alone (leaf_hits.clh), so both give the same bits.
@@ -141,7 +141,7 @@ kernel void trace_any(
   trace_rays(&a, &rays, first, min(first + RAYS_OF_ITEM, ray_count), true);
 }
 
-// Reads: corners (prepare_triangles), prims, block_places, block_counts (host, or order_cell_triangles). Writes: blocks (for
+// Reads: corners (prepare_triangles), positions, indices, prims, block_places, block_counts (host, or order_cell_triangles). Writes: blocks (for
 // trace_*). Work item: one block. Local memory: 0 bytes.
 kernel void pack_leaves(
     uint block_count,

@@ -40,9 +40,11 @@ def blocks_of_lists(begins: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray,
 
 
 def leaf_blocks(bvh: Bvh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes as trace_rays.cl takes them, (node_count, NODE_WORDS) float32: boxes and then children, uint32 by their bits,
-    leaves with the number of their triangles and their first block. And of all blocks the first places and the numbers of
-    triangles, uint32. Raises CapacityError."""
+    """Nodes as trace_rays.cl takes them, and of all blocks the first places and the numbers of triangles, uint32.
+
+    Nodes : (node_count, NODE_WORDS) float32, boxes and then children, uint32 by their bits, leaves with the number of
+    their triangles and their first block. Raises CapacityError.
+    """
     is_leaf = bvh.counts > 0
     counts = bvh.counts[is_leaf].astype(np.int64)
     firsts, places, inside = blocks_of_lists(bvh.children[is_leaf] & ~np.uint32(LEAF_BIT), counts)
