@@ -252,7 +252,7 @@ class RayTracer:
     def enqueue_any(self, rays: RayBuffers) -> cl.Buffer:
         """Enqueue `any` of rays on the device; returns [ray_count] uint, 1 where something is hit."""
         occluded = buffers.create(self.device, 4 * rays.count)
-        ends = rays.ends or {"ends": None, "lamp_slots": None}
+        ends: dict[str, Any] = rays.ends or {"ends": None, "lamp_slots": None}
         self._trace("trace_any", rays, **ends, occluded=occluded)
         return occluded
 
