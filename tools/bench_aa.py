@@ -113,12 +113,12 @@ def error_of(found: Channels, reference: Channels, names: str, where: np.ndarray
 
 
 def edges_of(jobs: dict[str, tuple[RenderJob, Channels]]) -> np.ndarray | None:
-    """(height, width) where a sample of the first mode that shares shading shows another triangle than the centre.
+    """(height, width) where a sample of the first mode that shares all shading shows another triangle than the centre.
 
     None where no mode does or the image has several bands.
     """
     for job, channels in jobs.values():
-        if isinstance(job.resolver, Multisampler) and job.band_count == 1:
+        if isinstance(job.resolver, Multisampler) and job.resolver.rate == "pixel" and job.band_count == 1:
             shape = channels["R"].shape
             places = buffers.download(job.device, job.resolver.edges.places, np.uint32, shape)
             return places != NO_HIT
