@@ -14,7 +14,8 @@ import numpy as np
 
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
-from clrast.opencl.features import Features
+from clrast.opencl.constants import EVALUATION_DIRECT
+from clrast.opencl.features import Features, Precision, Projection
 from clrast.visibility.geometry import Geometry
 from clrast.visibility.loop_limits import chunk_size_within, loop_limit, reference_span_within
 from clrast.visibility.screen_bounds import ScreenBounds, round_up
@@ -62,6 +63,7 @@ class TileRasterizer:
             name: kernels.build(device, name, features)
             for name in ("bin_triangles.cl", "rasterize_tiles.cl")
         }
+        self._sample_program: kernels.Program | None = None
         self._limit = loop_limit(device)
         self._reference_span = 0
         self.bounds = ScreenBounds(device, features, geometry)
@@ -236,6 +238,39 @@ class TileRasterizer:
                 front_prims=front_prims,
                 nearness=self.nearness,
             )
+
+    @property
+    def takes_samples(self) -> bool:
+        """Whether `rasterize_samples` serves this view: what it leaves out is rare, or has no lanes to fill."""
+        f = self.features
+        return (
+            f.vector_width > 1 and not (f.keep_nearness or f.filtered)
+            and f.precision != Precision.FIXED and f.evaluation == EVALUATION_DIRECT
+            and f.projection in (Projection.PERSPECTIVE, Projection.ORTHOGRAPHIC)
+        )  # fmt: skip
+
+    def rasterize_samples(
+        self, positions: np.ndarray, places: cl.Buffer | None, sample_prims: cl.Buffer, stride: int, first: int
+    ) -> None:
+        """Decide VECTOR_WIDTH samples of each listed pixel: entries from `first` on of its `stride` in `sample_prims`.
+
+        positions : (2, VECTOR_WIDTH) float32, x and y of the samples in a pixel, pixels. places : [pixels of the band]
+        where a pixel stands in the list, or NO_HIT; None lists all. The bounds have to hold for the positions.
+        """
+        if self._sample_program is None:
+            self._sample_program = kernels.build(self.device, "rasterize_samples.cl", self.features)
+        x, y = (buffers.upload(self.device, each) for each in positions)
+        tile_count = int(self.view["band_rows"]) * int(self.view["tile_columns"])
+        counted = {} if self.work is None else self.work.of_samples(self.view, self.features.tile_log2, tile_count)
+        self._sample_program.launch(
+            "rasterize_samples", tile_count, 1, view=self.view, tile_count=tile_count,
+            reference_capacity=self.reference_capacity, everywhere=int(places is None), stride=stride,
+            first_entry=first, sample_x=x, sample_y=y, corners=self.geometry.corners, tile_begin=self._tile_begin,
+            reference_prims=self._reference_prims, reference_bounds=self._reference_bounds,
+            places=self._tile_begin if places is None else places, sample_prims=sample_prims,
+            **self.surfaces, **counted,
+        )  # fmt: skip
+        self.launches += 1
 
     def list_length(self) -> int:
         """References in the lists of the band, as last read."""
