@@ -101,3 +101,18 @@ kernel void count_flags(
   for (uint item = begin; item < min(begin + LIST_CHUNK, count); ++item) sum += flags[item] != 0;
   chunk_counts[begin / LIST_CHUNK] = sum;
 }
+
+// Reads: visible_prims (any method's). Writes: sample_prims (for meet_strata). Work item: LIST_CHUNK listed pixels.
+// Local memory: 0 bytes.
+kernel void take_samples(
+    uint count,                                 // of listed pixels
+    uint everywhere,                            // 1: all pixels of the band are listed
+    uint sample,                                // which of VISIT_SAMPLES
+    global const uint *restrict pixels,         // [count]
+    global const uint *restrict visible_prims,  // [pixel_count] at the sample
+    global uint *restrict sample_prims)         // [count * VISIT_SAMPLES]
+{
+  const uint begin = get_global_id(0) * LIST_CHUNK;
+  for (uint item = begin; item < min(begin + LIST_CHUNK, count); ++item)
+    sample_prims[(size_t)item * VISIT_SAMPLES + sample] = visible_prims[everywhere ? item : pixels[item]];
+}

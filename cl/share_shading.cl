@@ -17,61 +17,7 @@
 
 #include "vector.clh"
 #include "edge_function.clh"
-
-// What surfaces are told apart by.
-typedef struct {
-  View view;
-  float distance;                  // along the ray: world units (orthographic), or a share of t
-  global const float4 *positions;  // [vertex_count] world space times world_scale
-  global const uint *indices;      // [3 * triangle_count]
-  global const uint *object_ids, *material_ids;
-} Ground;
-
-// The plane of a triangle: N scaled to a largest component of 1, so that no product leaves float32's range, and
-// N . (p - origin) of its points.
-typedef struct { Vec3 normal; float offset, squared; uint prim_id; } SurfacePlane;
-
-static inline SurfacePlane plane_of(const Ground *g, uint prim_id) {
-  const float4 p0 = g->positions[g->indices[3 * prim_id]], p1 = g->positions[g->indices[3 * prim_id + 1]];
-  const float4 p2 = g->positions[g->indices[3 * prim_id + 2]];
-  const Vec3 a = {p0.x, p0.y, p0.z}, b = {p1.x, p1.y, p1.z}, c = {p2.x, p2.y, p2.z};
-  const Vec3 n = cross3(subtract(b, a), subtract(c, a));
-  const float largest = max(max(fabs(n.x), fabs(n.y)), fabs(n.z));
-  SurfacePlane plane = {{n.x / largest, n.y / largest, n.z / largest}, 0.0f, 0.0f, prim_id};
-  plane.offset = dot3(plane.normal, subtract(a, broadcast(g->view.origin)));
-  plane.squared = dot3(plane.normal, plane.normal);
-  return plane;
-}
-
-// Where the ray of the sample (X, Y) meets a plane.
-static inline float meet_surface(const Ground *g, const SurfacePlane *plane, float x, float y) {
-#if !PLANAR
-  return plane->offset / dot3(plane->normal, sample_point(g->view, x, y));
-#else
-  const float4 moved = g->view.tangent_x * x + g->view.tangent_y * y;
-#if PROJECTION == PROJECTION_ORTHOGRAPHIC
-  return (plane->offset - dot3s(plane->normal, moved)) / dot3s(plane->normal, g->view.axis);
-#else
-  return plane->offset / dot3s(plane->normal, g->view.axis + moved);
-#endif
-#endif
-}
-
-// Whether two triangles are parts of one surface for the sample (X, Y), which shows the second: of one object and
-// material, their normals within an angle of SAME_SURFACE_COSINE, their planes within half a pixel's size of each other.
-static inline bool is_same_surface(const Ground *g, const SurfacePlane *a, const SurfacePlane *b, float x, float y) {
-  if (g->material_ids[a->prim_id] != g->material_ids[b->prim_id]) return false;
-  if (g->object_ids[a->prim_id] != g->object_ids[b->prim_id]) return false;
-  const float product = dot3(a->normal, b->normal);
-  const float least = SAME_SURFACE_COSINE * SAME_SURFACE_COSINE;
-  if (!(product > 0.0f) || !(product * product >= least * (a->squared * b->squared))) return false;
-  const float t = meet_surface(g, b, x, y), apart = fabs(meet_surface(g, a, x, y) - t);
-#if PROJECTION == PROJECTION_ORTHOGRAPHIC
-  return apart <= g->distance;
-#else
-  return apart <= g->distance * t;
-#endif
-}
+#include "same_surface.clh"
 
 // The triangles that a pixel's samples show, and the surfaces that they are parts of.
 typedef struct {

@@ -198,6 +198,12 @@ SURFACE_UNKNOWN = 254
 """Of a coverage sample: no known triangle covers it."""
 SURFACE_NOTHING = 255
 
+STRATA = 4
+"""Surfaces of a pixel whose samples auto keeps apart; the last one takes what the others do not."""
+
+VISIT_SAMPLES = 16
+"""Samples of a pixel that are decided at once where pixels are listed: 2 vectors of 8 lanes, or one of 16."""
+
 LIGHT_POINT = 0
 LIGHT_SPOT = 1
 LIGHT_DIRECTIONAL = 2

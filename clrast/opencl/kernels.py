@@ -237,7 +237,8 @@ def arguments_from_source(source: str, kernel: str) -> list[Argument]:
     return found
 
 
-SCALAR_PROGRAMS = ("prepare_triangles.cl", "shade_hits.cl", "settle_contenders.cl", "share_shading.cl")
+SCALAR_PROGRAMS = ("prepare_triangles.cl", "shade_hits.cl", "settle_contenders.cl", "share_shading.cl",
+                   "stratify_samples.cl")  # fmt: skip
 """Programs whose work-items are the lanes: vectors have one lane there, and edges are 3D, whatever decides samples."""
 
 MASKED = ("alpha_mask", "alpha_blend", "textures", "vertex_colors")

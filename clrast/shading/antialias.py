@@ -15,6 +15,7 @@ from clrast.shading.adaptive import STATE_BYTES, AdaptiveSampler
 from clrast.shading.filters import reach_of
 from clrast.shading.multisample import Multisampler
 from clrast.shading.shade import Shader
+from clrast.shading.strata import SUMS_BYTES, StratifiedSampler
 from clrast.shading.supersample import Layers, Supersampler
 from clrast.visibility.sample_patterns import Antialiasing, Pattern, parse_antialiasing
 
@@ -59,7 +60,9 @@ def resolver_bytes(options: RenderOptions, blends: bool) -> tuple[int, int]:
     if wanted.kind == "none":
         return 0, 0
     if wanted.kind == "auto":
-        return AdaptiveSampler.bytes_per_pixel(), STATE_BYTES
+        if blends:
+            return AdaptiveSampler.bytes_per_pixel(), STATE_BYTES
+        return StratifiedSampler.bytes_per_pixel(options.memory is not None), SUMS_BYTES
     if not shares_shading(wanted, options, blends):
         return Supersampler.bytes_per_pixel(), 20
     at_worst = options.memory is not None or options.shading_rate != "pixel"
@@ -83,8 +86,10 @@ def make_resolver(
     if wanted.kind == "none":
         return None
     if wanted.kind == "auto":
-        sampling = replace(features, sample_list=layers is None)
-        color = shader.sibling(sampling, ("color",), 1 if layers is None else max_pixels)
+        if layers is None:
+            listed = shader.sibling(replace(features, sample_list=True), ("color",), 1)
+            return StratifiedSampler(device, features, wanted, listed, max_pixels)
+        color = shader.sibling(features, ("color",), max_pixels)
         return AdaptiveSampler(device, features, wanted, color, max_pixels, layers)
     if shares_shading(wanted, options, layers is not None):
         listed = shader.sibling(replace(features, sample_list=True), ("color",), 1)

@@ -57,10 +57,14 @@ class EdgePixels:
         pattern: Sequence[Position],
     ) -> None:  # fmt: skip
         """Keep what the centres show, and find what the first samples of a pattern do; bounds hold for all. Waits."""
+        self.start(passes, row, rows, pixel_count, pattern)
+        passes.decide(first, self.planes)
+
+    def start(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, pattern: Sequence[Position]) -> None:
+        """Keep what the centres show, and bin the band's triangles by bounds that hold for the pattern's samples."""
         buffers.copy(self.device, passes.tiles.visible_prims, self.center, 4 * pixel_count)
         passes.set_up(pattern)
         passes.start_band(row, rows)
-        passes.decide(first, self.planes)
 
     def flag(self, pixel_count: int) -> None:
         """Enqueue: flag the pixels where a sample shows another triangle than the centre."""

@@ -1,0 +1,170 @@
+// How far pixels' colours may be off after some samples of their surfaces, and those that are done.
+//
+// The estimates are those of stratify_samples.cl, which says what a stratum is and what is kept of it.
+//   gather_strata: colours of shaded samples, less the centre's, summed by stratum, and their squares
+//   estimate_errors, judge_strata: which pixels and strata call for more
+//   keep_strata: the list of these; the others' colours
+// Good at: lists of any length. Bad at: nothing known. Tests: tests/test_antialiasing.py.
+
+#pragma OPENCL FP_CONTRACT OFF
+
+static inline float largest_channel(float4 v) { return max(max(v.x, v.y), max(v.z, v.w)); }
+
+static inline float4 load_color(global const float *planes, size_t stride, size_t at) {
+  return (float4)(planes[at], planes[stride + at], planes[2 * stride + at], planes[3 * stride + at]);
+}
+
+// Reads: colors (shade_hits), values (shade_hits, at the centres). Writes: sums (for estimate_errors).
+// Work item: one listed pixel. Local memory: 0 bytes.
+kernel void gather_strata(
+    uint count,
+    uint pixel_count,                        // of the band
+    uint listed_count,                       // samples that were shaded
+    uint begins,                             // 1: nothing was summed before
+    global const uint *restrict pixels,      // [count]
+    global const uint *restrict slots,       // [count]
+    global const uint2 *restrict chosen,     // [count]
+    global const uint *restrict first_shaded, // [count]
+    global const float *restrict colors,     // [4 * listed_count] R G B A
+    global const float *restrict values,     // [4 * pixel_count] at the centres
+    global float4 *restrict sums)            // [slots * 2 * STRATA] in and out: of colours less the centre's, of squares
+{
+  const uint item = get_global_id(0);
+  if (item >= count) return;
+  global float4 *own = sums + 2 * STRATA * (size_t)slots[item];
+  if (begins)
+    for (uint k = 0; k < 2 * STRATA; ++k) own[k] = (float4)(0.0f);
+  const float4 center = load_color(values, pixel_count, pixels[item]);
+  uint position = first_shaded[item];
+  for (uint k = 0; k < VISIT_SAMPLES; ++k) {
+    if (!(chosen[item].x >> k & 1)) continue;
+    const uint stratum = chosen[item].y >> 2 * k & 3;
+    const float4 d = load_color(colors, listed_count, position++) - center;
+    own[stratum] += d;
+    own[STRATA + stratum] += d * d;
+  }
+}
+
+// Reads: stratum_counts (meet_strata), sums (gather_strata). Writes: deviations (for judge_strata).
+// Work item: one listed pixel. Local memory: 0 bytes.
+kernel void estimate_errors(
+    uint count,
+    global const uint *restrict pixels,          // [count]
+    global const uint *restrict slots,           // [count]
+    global const uint *restrict stratum_counts,  // [slots * STRATA]
+    global const float4 *restrict sums,          // [slots * 2 * STRATA]
+    global float *restrict deviations)           // [pixel_count] variance within a listed pixel's strata
+{
+  const uint item = get_global_id(0);
+  if (item >= count) return;
+  const size_t slot = slots[item];
+  float4 squares = (float4)(0.0f);
+  float freedom = 0.0f;
+  for (uint k = 0; k < STRATA; ++k) {
+    const uint shaded = stratum_counts[STRATA * slot + k] >> 16;
+    if (shaded < 2) continue;
+    const float4 sum = sums[2 * STRATA * slot + k];
+    squares += sums[2 * STRATA * slot + STRATA + k] - sum * (sum / (float)shaded);
+    freedom += (float)(shaded - 1);
+  }
+  deviations[pixels[item]] = freedom > 0.0f ? max(largest_channel(squares), 0.0f) / freedom : 0.0f;
+}
+
+// The mean variance of the listed pixels of a quad, which lies in one band: bands begin at even rows.
+static inline float quad_variance(uint pixel, uint pixel_count, uint width, global const float *restrict deviations) {
+  const uint column = pixel % width & ~1u, row = pixel / width & ~1u, rows = pixel_count / width;
+  float sum = 0.0f, listed = 0.0f;
+  for (uint k = 0; k < 4; ++k) {
+    const uint other_column = column + (k & 1), other_row = row + (k >> 1);
+    if (other_column >= width || other_row >= rows) continue;
+    const float variance = deviations[(size_t)other_row * width + other_column];
+    if (variance < 0.0f) continue;
+    sum += variance;
+    listed += 1.0f;
+  }
+  return sum / listed;
+}
+
+// Reads: stratum_counts, sums, deviations (estimate_errors). Writes: keep (for keep_strata), open (for meet_strata).
+// Work item: one listed pixel. Local memory: 0 bytes.
+kernel void judge_strata(
+    uint count,
+    uint pixel_count,
+    uint width,                                  // pixels of a row
+    float sample_count,                          // samples so far
+    float error_factor,                          // N^(-3/4)
+    float threshold,
+    global const uint *restrict pixels,          // [count]
+    global const uint *restrict slots,           // [count]
+    global const uint *restrict stratum_counts,  // [slots * STRATA]
+    global const float4 *restrict sums,          // [slots * 2 * STRATA]
+    global const float *restrict deviations,     // [pixel_count] negative where a pixel is not listed
+    global uchar *restrict open,                 // [slots]
+    global uchar *restrict keep)                 // [count] 1 where more samples are called for
+{
+  const uint item = get_global_id(0);
+  if (item >= count) return;
+  const size_t slot = slots[item];
+  const float around = quad_variance(pixels[item], pixel_count, width, deviations);
+  float4 mean = (float4)(0.0f), squares = (float4)(0.0f);
+  uint open_strata = 0;
+  for (uint k = 0; k < STRATA; ++k) {
+    const uint both = stratum_counts[STRATA * slot + k], shaded = both >> 16;
+    if (!shaded) continue;
+    const float share = (float)(both & 0xffffu) / sample_count, n = (float)shaded;
+    const float4 sum = sums[2 * STRATA * slot + k], own_mean = sum / n;
+    mean += own_mean * share;
+    squares += own_mean * own_mean * share;
+    float variance = around;
+    if (shaded > 1) {
+      const float4 own = sums[2 * STRATA * slot + STRATA + k] - sum * own_mean;
+      variance = 0.5f * (max(largest_channel(own), 0.0f) / (n - 1.0f) + around);
+    }
+    const float root = sqrt(n), slowly = root * sqrt(root);
+    if (0.5f * share * sqrt(variance) > threshold * slowly) open_strata |= 1u << k;
+  }
+  const float between = max(largest_channel(squares - mean * mean), 0.0f);
+  open[slot] = open_strata;
+  keep[item] = open_strata != 0 || sqrt(between) * error_factor > threshold;
+}
+
+// Reads: keep (judge_strata), begins (list_samples.cl). Writes: kept_pixels, kept_slots and pixel_places (the list that is
+// sampled further), values (host). Work item: LIST_CHUNK listed pixels. Local memory: 0 bytes.
+kernel void keep_strata(
+    uint count,
+    uint pixel_count,
+    float sample_count,
+    global const uchar *restrict keep,           // [count]
+    global const uint *restrict begins,          // [chunks + 1]
+    global const uint *restrict pixels,          // [count]
+    global const uint *restrict slots,           // [count]
+    global const uint *restrict stratum_counts,  // [slots * STRATA]
+    global const float4 *restrict sums,          // [slots * 2 * STRATA]
+    global uint *restrict kept_pixels,           // [kept]
+    global uint *restrict kept_slots,            // [kept]
+    global uint *restrict pixel_places,          // [pixel_count] a pixel's place in the list, or NO_HIT
+    global float *restrict values)               // [4 * pixel_count] in: at the centres; out: of pixels that are done
+{
+  const uint begin = get_global_id(0) * LIST_CHUNK;
+  if (begin >= count) return;
+  uint position = begins[begin / LIST_CHUNK];
+  for (uint item = begin; item < min(begin + LIST_CHUNK, count); ++item) {
+    const uint pixel = pixels[item];
+    const size_t slot = slots[item];
+    pixel_places[pixel] = keep[item] ? position : NO_HIT;
+    if (keep[item]) {
+      kept_pixels[position] = pixel;
+      kept_slots[position++] = slot;
+      continue;
+    }
+    float4 color = load_color(values, pixel_count, pixel);
+    for (uint k = 0; k < STRATA; ++k) {
+      const uint both = stratum_counts[STRATA * slot + k];
+      if (both) color += sums[2 * STRATA * slot + k] / (float)(both >> 16) * ((float)(both & 0xffffu) / sample_count);
+    }
+    values[pixel] = color.x;
+    values[(size_t)pixel_count + pixel] = color.y;
+    values[2 * (size_t)pixel_count + pixel] = color.z;
+    values[3 * (size_t)pixel_count + pixel] = color.w;
+  }
+}

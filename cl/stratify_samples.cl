@@ -1,0 +1,193 @@
+// Samples pixels until their estimated error is small: visibility at many samples, shading at few of each surface.
+//
+// What a pixel shows is a mean over its surfaces (strata): of each the share of the samples that show it, which needs
+// visibility alone, times the mean of its colour, which needs few samples (post-stratification; Cochran, 'Sampling
+// Techniques', section 5A.9). A pixel begins where one of the first 16 samples of a (0,2)-sequence shows another surface
+// than its centre, or where colours at the centres of its quad differ much. In rounds, of N = 16, 32, 64 .. samples:
+//   meet_strata: each new sample belongs to a surface; which are shaded: the first of a surface, and of the first N/4 those
+//     whose surface is still open
+//   estimate_errors, judge_strata: of the shares   deviation between the surfaces' means * N^(-3/4)
+//     of a surface's mean   share * half the deviation of its n colours * n^(-3/4); it is open while that is too large
+//     pixels with no such error stay out of the next round
+// N^(-3/4) is how fast the error of an edge falls when N samples are one in each of N equal squares: an edge passes about
+// sqrt(N) squares, each of which adds its own, independent error (Mitchell 1996). Within a surface there are no edges, but
+// what changes slowly; half is what was measured there. Deviations of few samples are uncertain: half of one is that of the
+// listed pixels of its quad. Lists are made by prefix sums.
+// Good at: few surfaces a pixel. Bad at: more than STRATA of them: the last takes all that the others do not.
+// Tests: tests/test_antialiasing.py.
+
+#include "vector.clh"
+#include "edge_function.clh"
+#include "same_surface.clh"
+
+#define MEMORY 4  // triangles beside the first of their surfaces that a pixel remembers
+
+// What is known of a listed pixel's strata: the triangle that each was first seen by, samples that show it, of these shaded.
+typedef struct {
+  uint prims[STRATA], covered[STRATA], shaded[STRATA];
+  uint count;
+} Strata;
+
+static inline Strata load_strata(size_t slot, global const uint *restrict prims, global const uint *restrict counts) {
+  Strata s;
+  s.count = 0;
+  for (uint k = 0; k < STRATA; ++k) {
+    const uint both = counts[STRATA * slot + k];
+    s.prims[k] = prims[STRATA * slot + k];
+    s.covered[k] = both & 0xffffu;
+    s.shaded[k] = both >> 16;
+    if (s.shaded[k]) s.count = k + 1;  // each is shaded when it is found
+  }
+  return s;
+}
+
+static inline bool shows_same(const Ground *g, uint a, uint b, float x, float y) {
+  if (a == NO_HIT || b == NO_HIT) return false;
+  const SurfacePlane first = plane_of(g, a), second = plane_of(g, b);
+  return is_same_surface(g, &first, &second, x, y);
+}
+
+// Reads: center_prims, sample_prims (rasterize_samples). Writes: edge_flags (for flag_contrast). Work item: one pixel.
+// Local memory: 0 bytes.
+kernel void flag_surfaces(
+    View view,
+    uint pixel_count,                             // of the band
+    float surface_distance,                       // of planes that count as one: world units, or a share of t
+    global const float4 *restrict positions,      // [vertex_count] world space times world_scale
+    global const uint *restrict indices,          // [3 * triangle_count]
+    global const uint *restrict object_ids,       // [triangle_count]
+    global const uint *restrict material_ids,     // [triangle_count]
+    global const uint *restrict center_prims,     // [pixel_count] prim_id or NO_HIT
+    global const uint *restrict sample_prims,     // [pixel_count * VISIT_SAMPLES]
+    global uchar *restrict edge_flags)            // [pixel_count] 255 where a sample shows another surface
+{
+  const uint pixel = get_global_id(0);
+  if (pixel >= pixel_count) return;
+  const Ground g = {view, surface_distance, positions, indices, object_ids, material_ids};
+  const float x = (float)(pixel % view.width) - view.center_x + 0.5f;
+  const float y = (float)(pixel / view.width + (view.band_row << TILE_LOG2)) - view.center_y + 0.5f;
+  const uint center = center_prims[pixel];
+  uint known = center;
+  bool differs = false;
+  for (uint k = 0; k < VISIT_SAMPLES && !differs; ++k) {
+    const uint prim_id = sample_prims[(size_t)pixel * VISIT_SAMPLES + k];
+    if (prim_id == center || prim_id == known) continue;
+    differs = !shows_same(&g, center, prim_id, x, y);
+    known = prim_id;
+  }
+  edge_flags[pixel] = differs ? 255 : 0;
+}
+
+// The stratum of a triangle that a sample at (X, Y) shows; a new one where it is part of none and there is room.
+static inline uint find_stratum(const Ground *g, Strata *s, uint prim_id, float x, float y, uint *known, uint *known_stratum) {
+  for (uint k = 0; k < s->count; ++k)
+    if (s->prims[k] == prim_id) return k;
+  for (uint k = 0; k < MEMORY; ++k)
+    if (known[k] == prim_id) return known_stratum[k];
+  uint stratum = 0;
+  for (; stratum < s->count; ++stratum)
+    if (shows_same(g, s->prims[stratum], prim_id, x, y)) break;
+  if (stratum == s->count) {
+    if (s->count == STRATA) stratum = STRATA - 1;
+    else {
+      s->prims[s->count++] = prim_id;
+      s->covered[stratum] = s->shaded[stratum] = 0;
+      return stratum;
+    }
+  }
+  for (uint k = MEMORY - 1; k > 0; --k) {
+    known[k] = known[k - 1];
+    known_stratum[k] = known_stratum[k - 1];
+  }
+  known[0] = prim_id;
+  known_stratum[0] = stratum;
+  return stratum;
+}
+
+// Reads: pixels, slots (list_edge_pixels, keep_strata), sample_prims (rasterize_samples). Writes: stratum_prims,
+// stratum_counts, chosen, chosen_counts (for list_chosen). Work item: one listed pixel. Local memory: 0 bytes.
+kernel void meet_strata(
+    View view,
+    uint count,                                   // of listed pixels
+    float surface_distance,
+    uint by_pixel,                                // 1: sample_prims are those of all pixels, 0: of the list
+    uint begins,                                  // 1: nothing is known yet
+    uint counts,                                  // 1: samples are new, 0: they have been counted before
+    uint shaded_samples,                          // a bit for each sample that is shaded where its stratum is open
+    global const float4 *restrict positions,      // [vertex_count] world space times world_scale
+    global const uint *restrict indices,          // [3 * triangle_count]
+    global const uint *restrict object_ids,       // [triangle_count]
+    global const uint *restrict material_ids,     // [triangle_count]
+    global const uint *restrict sample_positions, // [VISIT_SAMPLES] 256ths of a pixel, x | y << 16
+    global const uint *restrict pixels,           // [count]
+    global const uint *restrict slots,            // [count] where what is known of a pixel stands
+    global const uint *restrict sample_prims,     // [.. * VISIT_SAMPLES] prim_id or NO_HIT
+    global const uchar *restrict open,            // [slots] a bit for each stratum that calls for more shading
+    global uint *restrict stratum_prims,          // [slots * STRATA] in and out
+    global uint *restrict stratum_counts,         // [slots * STRATA] in and out: samples | shaded << 16
+    global uint2 *restrict chosen,                // [count] a bit for each sample to be shaded; strata, 2 bits each
+    global uchar *restrict chosen_counts)         // [count]
+{
+  const uint item = get_global_id(0);
+  if (item >= count) return;
+  const uint pixel = pixels[item];
+  const size_t slot = slots[item];
+  const Ground g = {view, surface_distance, positions, indices, object_ids, material_ids};
+  const float left = (float)(pixel % view.width) - view.center_x;
+  const float top = (float)(pixel / view.width + (view.band_row << TILE_LOG2)) - view.center_y;
+  Strata s = load_strata(slot, stratum_prims, stratum_counts);
+  if (begins) s.count = 0;
+  const uint is_open = begins ? (1u << STRATA) - 1 : open[slot];
+  uint known[MEMORY], known_stratum[MEMORY];
+  for (uint k = 0; k < MEMORY; ++k) {
+    known[k] = NO_HIT;
+    known_stratum[k] = STRATA - 1;
+  }
+  uint mask = 0, strata = 0;
+  const size_t first = (size_t)(by_pixel ? pixel : item) * VISIT_SAMPLES;
+  for (uint k = 0; k < VISIT_SAMPLES; ++k) {
+    const uint position = sample_positions[k];
+    const float x = left + (float)(position & 0xffffu) / 256.0f, y = top + (float)(position >> 16) / 256.0f;
+    const uint stratum = find_stratum(&g, &s, sample_prims[first + k], x, y, known, known_stratum);
+    s.covered[stratum] += counts;
+    if (s.shaded[stratum] != 0 && !(shaded_samples >> k & is_open >> stratum & 1)) continue;
+    s.shaded[stratum] += 1;
+    mask |= 1u << k;
+    strata |= stratum << 2 * k;
+  }
+  for (uint k = 0; k < STRATA; ++k) {
+    stratum_prims[STRATA * slot + k] = k < s.count ? s.prims[k] : NO_HIT;
+    stratum_counts[STRATA * slot + k] = k < s.count ? s.covered[k] | s.shaded[k] << 16 : 0;
+  }
+  chosen[item] = (uint2)(mask, strata);
+  chosen_counts[item] = popcount(mask);
+}
+
+// Reads: pixels, sample_prims, chosen (meet_strata), begins (list_samples.cl). Writes: shaded_prims, places (for
+// shade_hits), first_shaded (for gather_strata). Work item: LIST_CHUNK listed pixels. Local memory: 0 bytes.
+kernel void list_chosen(
+    uint count,
+    uint by_pixel,
+    global const uint *restrict sample_positions, // [VISIT_SAMPLES]
+    global const uint *restrict pixels,           // [count]
+    global const uint *restrict sample_prims,     // [.. * VISIT_SAMPLES]
+    global const uint2 *restrict chosen,          // [count]
+    global const uint *restrict begins,           // [chunks + 1]
+    global uint *restrict first_shaded,           // [count] where a pixel's samples begin in the list
+    global uint *restrict shaded_prims,           // [listed]
+    global uint2 *restrict places)                // [listed] pixel of the band; where in it, x | y << 16
+{
+  const uint begin = get_global_id(0) * LIST_CHUNK;
+  if (begin >= count) return;
+  uint position = begins[begin / LIST_CHUNK];
+  for (uint item = begin; item < min(begin + LIST_CHUNK, count); ++item) {
+    const uint pixel = pixels[item];
+    const size_t first = (size_t)(by_pixel ? pixel : item) * VISIT_SAMPLES;
+    first_shaded[item] = position;
+    for (uint k = 0; k < VISIT_SAMPLES; ++k) {
+      if (!(chosen[item].x >> k & 1)) continue;
+      shaded_prims[position] = sample_prims[first + k];
+      places[position++] = (uint2)(pixel, sample_positions[k]);
+    }
+  }
+}

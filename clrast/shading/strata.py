@@ -1,0 +1,214 @@
+"""Antialiasing by visibility at many samples and shading of few of each surface: `--aa auto:EPS`.
+
+The kernels are cl/stratify_samples.cl, which says how, and cl/judge_strata.cl.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from clrast.opencl import buffers, kernels
+from clrast.opencl.constants import LIST_CHUNK, STRATA, VISIT_SAMPLES
+from clrast.opencl.device import Device
+from clrast.opencl.features import Features
+from clrast.shading.edge_pixels import BYTES_PER_PIXEL, EdgePixels, padded
+from clrast.shading.multisample import surface_distance
+from clrast.shading.shade import WORK_GROUP, Shader
+from clrast.visibility.listed_samples import ListedSamples
+from clrast.visibility.sample_passes import SamplePasses
+from clrast.visibility.sample_patterns import Antialiasing
+
+FOOTPRINT = 0.25
+"""Side of what a sample of a listed pixel stands for, pixels: that of one in 16. For the first samples finer ones than
+that are as good, and with coarser ones the error stops to fall where textures are blurred."""
+
+SHADED_SHARE = 4
+"""Of so many samples whose visibility is known one is shaded where its surface is open."""
+
+SUMS_BYTES = 2 * 16 * STRATA
+STATE_BYTES = SUMS_BYTES + 8 * STRATA + 1
+"""Device bytes of what is known of a listed pixel's strata."""
+
+TYPICAL_SHADED = 6
+"""Samples of a listed pixel shaded at once that memory is planned for where no budget is given."""
+
+
+def visits_of(round_number: int) -> list[tuple[int, bool, int]]:
+    """What a round looks at: VISIT_SAMPLES samples each, by number; whether they are new; a bit for each that is shaded.
+
+    Round r ends with 16 * 2^r samples, of which the first 4 * 2^r may be shaded.
+    """
+    if round_number == 0:
+        return [(0, True, (1 << VISIT_SAMPLES // SHADED_SHARE) - 1)]
+    known = VISIT_SAMPLES << round_number - 1
+    first, end = known // SHADED_SHARE, 2 * known // SHADED_SHARE
+    new = [(k, True, 0) for k in range(known // VISIT_SAMPLES, 2 * known // VISIT_SAMPLES)]
+    old = []
+    for k in range(first // VISIT_SAMPLES, -(-end // VISIT_SAMPLES)):
+        old.append((k, False, sum(1 << n for n in range(VISIT_SAMPLES) if first <= VISIT_SAMPLES * k + n < end)))
+    return new + old
+
+
+class StratifiedSampler:
+    """Samples a band's pixels in rounds of 16, 32, 64 .. samples. shader : of colour alone, with features.sample_list."""
+
+    def __init__(
+        self, device: Device, features: Features, wanted: Antialiasing, shader: Shader, max_pixels: int
+    ) -> None:  # fmt: skip
+        shader.footprint = FOOTPRINT
+        self.device, self.shader = device, shader
+        self._projection = features.projection
+        self.positions, self.threshold = wanted.pattern.positions, float(np.float32(wanted.threshold))
+        self.counts: dict[str, int] = {}
+        self.own_launches = 0
+        self.edges = EdgePixels(device, features, 0, max_pixels)
+        self._samples = ListedSamples(device, features, self.positions, max_pixels)
+        self._strata = kernels.build(device, "stratify_samples.cl", features)
+        self._judging = kernels.build(device, "judge_strata.cl", features)
+        self._contrast = kernels.build(device, "adaptive_samples.cl", features)
+        packed = np.array([x | y << 16 for x, y in self.positions], dtype=np.uint32)
+        self._positions = [buffers.upload(device, packed[k : k + VISIT_SAMPLES])
+                           for k in range(0, len(packed), VISIT_SAMPLES)]  # fmt: skip
+        self._deviations = buffers.create(device, 4 * max_pixels)
+
+    @property
+    def launches(self) -> int:
+        """Kernels launched so far, the shader's apart."""
+        return self.own_launches + self.edges.launches + self._samples.launches
+
+    @staticmethod
+    def bytes_per_pixel(at_worst: bool) -> int:
+        """Device bytes a pixel of a band takes here where all are listed; at_worst : and all that may be is shaded."""
+        shaded = VISIT_SAMPLES if at_worst else TYPICAL_SHADED
+        of_listed = 4 * 4 + STATE_BYTES + 8 + 1 + 4 + 1 + shaded * (12 + Shader.bytes_per_pixel(("color",)))
+        return BYTES_PER_PIXEL + 4 + 8 * VISIT_SAMPLES + of_listed
+
+    def resolve_band(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, target: Shader) -> None:
+        """Replace the colour of a band in `target`, shaded at the centres, where samples are called for. Waits."""
+        self.edges.start(passes, row, rows, pixel_count, self.positions)
+        self._samples.decide(passes, 0, pixel_count, pixel_count, None)
+        count = passes.timed("resolve", partial(self._list_first, passes.tiles.view, pixel_count, target))
+        self._count("edge_pixels", count)
+        self._count("samples_shaded", pixel_count)
+        lists = ("edge_pixels", "slots")
+        round_number = 0
+        while count:
+            self._band = {"count": count, "pixels": self.edges.room(lists[0]), "slots": self.edges.room(lists[1])}
+            for visit, is_new, shaded in visits_of(round_number):
+                self._visit(passes, visit, is_new, shaded, round_number == 0, pixel_count, target)
+            width = int(passes.tiles.view["width"])
+            judge = partial(self._judge, round_number, lists, pixel_count, width, target)
+            lists, count = passes.timed("resolve", judge)
+            round_number += 1
+
+    def _list_first(self, view: np.ndarray, pixel_count: int, target: Shader) -> int:
+        self._launch(
+            self._strata, "flag_surfaces", pixel_count, pixel_count=pixel_count, center_prims=self.edges.center,
+            sample_prims=self._samples.prims, edge_flags=self.edges.flags, **self._ground(view),
+        )  # fmt: skip
+        self._launch(
+            self._contrast, "flag_contrast", pixel_count, pixel_count=pixel_count, width=int(view["width"]),
+            threshold=self.threshold, values=target.values, edge_flags=self.edges.flags,
+        )  # fmt: skip
+        self.edges.count_flags(pixel_count)
+        count = self.edges.list_flagged(pixel_count)
+        slots = np.arange(count, dtype=np.uint32)
+        buffers.write(self.device, self.edges.room("slots", 4 * count), slots)
+        buffers.fill(self.device, self._deviations, np.float32(-1.0), 4 * pixel_count)
+        for name, size in (
+            ("sums", SUMS_BYTES), ("stratum_prims", 4 * STRATA), ("stratum_counts", 4 * STRATA), ("open", 1),
+            ("chosen", 8), ("chosen_counts", 1), ("first_shaded", 4), ("keep", 1),
+        ):  # fmt: skip
+            self.edges.room(name, size * count)
+        return count
+
+    def _ground(self, view: np.ndarray) -> dict[str, Any]:
+        """What surfaces are told apart by."""
+        geometry = self.shader.geometry
+        return {
+            "view": view, "surface_distance": surface_distance(view, self._projection),
+            "positions": geometry.positions, "indices": geometry.indices,
+            **self.shader.surfaces.named("object_ids", "material_ids"),
+        }  # fmt: skip
+
+    def _visit(
+        self, passes: SamplePasses, visit: int, is_new: bool, shaded: int, begins: bool, pixel_count: int, target: Shader
+    ) -> None:
+        """Find what 16 samples of the listed pixels show, shade those that are called for, and sum them."""
+        view, count = passes.tiles.view, self._band["count"]
+        if not begins:
+            self._samples.decide(passes, visit, count, pixel_count, self.edges.places, self._band["pixels"])
+        listed = passes.timed("resolve", partial(self._choose, view, visit, is_new, shaded, begins))
+        if not listed:
+            return
+        lists = self.edges.room("shaded_prims"), listed, 0, self.edges.room("places")
+        passes.timed("shade", partial(self.shader.shade, view, *lists))
+        self._count("samples_shaded", listed)
+        self._launch(
+            self._judging, "gather_strata", count, **self._band, pixel_count=pixel_count, listed_count=listed,
+            begins=int(begins), colors=self.shader.values, values=target.values,
+            **self._rooms("chosen", "first_shaded", "sums"),
+        )  # fmt: skip
+
+    def _choose(self, view: np.ndarray, visit: int, is_new: bool, shaded: int, begins: bool) -> int:
+        """List the samples of a visit that are to be shaded; returns their number. Waits."""
+        count = self._band["count"]
+        of_samples = {
+            "by_pixel": int(begins), "sample_positions": self._positions[visit], "sample_prims": self._samples.prims,
+        }  # fmt: skip
+        self._launch(
+            self._strata, "meet_strata", count, **self._band, **of_samples, **self._ground(view), begins=int(begins),
+            counts=int(is_new), shaded_samples=shaded,
+            **self._rooms("open", "stratum_prims", "stratum_counts", "chosen", "chosen_counts"),
+        )  # fmt: skip
+        listed = self.edges.sum_entries(self.edges.room("chosen_counts"), count)
+        if listed:
+            band = {name: self._band[name] for name in ("count", "pixels")}
+            self._strata.launch(
+                "list_chosen", -(-count // LIST_CHUNK), 1, **band, **of_samples, begins=self.edges.begins,
+                shaded_prims=self.edges.room("shaded_prims", 4 * listed), places=self.edges.room("places", 8 * listed),
+                **self._rooms("chosen", "first_shaded"),
+            )  # fmt: skip
+            self.own_launches += 1
+            self.shader.make_room(listed)
+        return listed
+
+    def _judge(
+        self, round_number: int, lists: tuple[str, str], pixel_count: int, width: int, target: Shader
+    ) -> tuple[tuple[str, str], int]:
+        """Finish the pixels whose error is small; returns the lists of the others, and their number. Waits."""
+        count, samples = self._band["count"], VISIT_SAMPLES << round_number
+        self._launch(
+            self._judging, "estimate_errors", count, **self._band, deviations=self._deviations,
+            **self._rooms("stratum_counts", "sums"),
+        )  # fmt: skip
+        self._launch(
+            self._judging, "judge_strata", count, **self._band, pixel_count=pixel_count, width=width,
+            sample_count=float(samples), error_factor=float(np.float32(math.pow(samples, -0.75))),
+            threshold=self.threshold if samples < len(self.positions) else math.inf, deviations=self._deviations,
+            **self._rooms("stratum_counts", "sums", "open", "keep"),
+        )  # fmt: skip
+        kept = self.edges.sum_entries(self.edges.room("keep"), count)
+        others = ("other_pixels", "other_slots") if lists[0] == "edge_pixels" else ("edge_pixels", "slots")
+        self._judging.launch(
+            "keep_strata", -(-count // LIST_CHUNK), 1, **self._band, pixel_count=pixel_count,
+            sample_count=float(samples), begins=self.edges.begins, kept_pixels=self.edges.room(others[0], 4 * kept),
+            kept_slots=self.edges.room(others[1], 4 * kept), pixel_places=self.edges.places, values=target.values,
+            **self._rooms("keep", "stratum_counts", "sums"),
+        )  # fmt: skip
+        self.own_launches += 1
+        return others, kept
+
+    def _rooms(self, *names: str) -> dict[str, Any]:
+        return {name: self.edges.room(name) for name in names}
+
+    def _count(self, name: str, count: int) -> None:
+        self.counts[name] = self.counts.get(name, 0) + count
+
+    def _launch(self, program: kernels.Program, kernel: str, items: int, /, **arguments: Any) -> None:
+        program.launch(kernel, padded(items), WORK_GROUP, **arguments)
+        self.own_launches += 1
