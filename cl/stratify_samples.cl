@@ -1,8 +1,8 @@
 // Samples pixels until their estimated error is small: visibility at many samples, shading at few of each surface.
 //
 // What a pixel shows is a mean over its surfaces (strata): of each the share of the samples that show it, which needs
-// visibility alone, times the mean of its colour, which needs few samples (post-stratification; Cochran, 'Sampling
-// Techniques', section 5A.9). A pixel begins where one of the first 16 samples of a (0,2)-sequence shows another surface
+// visibility alone, times the mean of its colour, which needs few samples (post-stratification). A
+// pixel begins where one of the first 16 samples of a (0,2)-sequence shows another surface
 // than its centre, or where colours at the centres of its quad differ much. In rounds, of N = 16, 32, 64 .. samples:
 //   meet_strata: each new sample belongs to a surface; which are shaded: the first of a surface, and of the first N/4 those
 //     whose surface is still open
@@ -79,10 +79,11 @@ kernel void flag_surfaces(
 }
 
 // The stratum of a triangle that a sample at (X, Y) shows; a new one where it is part of none and there is room.
-static inline uint find_stratum(const Ground *g, Strata *s, uint prim_id, float x, float y, uint *known, uint *known_stratum) {
+static inline uint find_stratum(const Ground *g, Strata *s, uint prim_id, float x, float y, uint *known,
+                                uint *known_stratum, uint *known_count) {
   for (uint k = 0; k < s->count; ++k)
     if (s->prims[k] == prim_id) return k;
-  for (uint k = 0; k < MEMORY; ++k)
+  for (uint k = 0; k < *known_count; ++k)
     if (known[k] == prim_id) return known_stratum[k];
   uint stratum = 0;
   for (; stratum < s->count; ++stratum)
@@ -95,10 +96,11 @@ static inline uint find_stratum(const Ground *g, Strata *s, uint prim_id, float 
       return stratum;
     }
   }
-  for (uint k = MEMORY - 1; k > 0; --k) {
+  for (uint k = min(*known_count, (uint)MEMORY - 1); k > 0; --k) {
     known[k] = known[k - 1];
     known_stratum[k] = known_stratum[k - 1];
   }
+  *known_count = min(*known_count + 1, (uint)MEMORY);
   known[0] = prim_id;
   known_stratum[0] = stratum;
   return stratum;
@@ -138,17 +140,13 @@ kernel void meet_strata(
   Strata s = load_strata(slot, stratum_prims, stratum_counts);
   if (begins) s.count = 0;
   const uint is_open = begins ? (1u << STRATA) - 1 : open[slot];
-  uint known[MEMORY], known_stratum[MEMORY];
-  for (uint k = 0; k < MEMORY; ++k) {
-    known[k] = NO_HIT;
-    known_stratum[k] = STRATA - 1;
-  }
+  uint known[MEMORY], known_stratum[MEMORY], known_count = 0;
   uint mask = 0, strata = 0;
   const size_t first = (size_t)(by_pixel ? pixel : item) * VISIT_SAMPLES;
   for (uint k = 0; k < VISIT_SAMPLES; ++k) {
     const uint position = sample_positions[k];
     const float x = left + (float)(position & 0xffffu) / 256.0f, y = top + (float)(position >> 16) / 256.0f;
-    const uint stratum = find_stratum(&g, &s, sample_prims[first + k], x, y, known, known_stratum);
+    const uint stratum = find_stratum(&g, &s, sample_prims[first + k], x, y, known, known_stratum, &known_count);
     s.covered[stratum] += counts;
     if (s.shaded[stratum] != 0 && !(shaded_samples >> k & is_open >> stratum & 1)) continue;
     s.shaded[stratum] += 1;

@@ -234,7 +234,7 @@ class RenderJob:
         """Render all bands into `channels`; keeps the smallest time of each stage unless `first`."""
         self._frame_times = {}
         self.hit_count = self.passes = self.band_count = self.samples_decided = 0
-        self.sample_passes.count = self.sample_passes.listed = 0
+        self.sample_passes.count = self.sample_passes.visits = self.sample_passes.listed = 0
         if self.integrator is not None:
             self.integrator.start_frame()
         if self.resolver is not None:
@@ -246,7 +246,7 @@ class RenderJob:
         for row, rows in self.bands:
             self._render_band(channels, row, rows)
         self.launches = self._count_launches() - before
-        self.passes += self.sample_passes.count
+        self.passes += self.sample_passes.count + self.sample_passes.visits
         self.samples_decided += self.sample_passes.listed
         for stage, spent in self._frame_times.items():
             self.times[stage] = spent if first else min(spent, self.times[stage])

@@ -45,6 +45,7 @@ class ListedSamples:
         wanted = self.positions[first : first + VISIT_SAMPLES]
         if isinstance(passes.tiles, TileRasterizer) and passes.tiles.takes_samples:
             passes.timed("visibility", partial(self._decide_lanes, passes.tiles, wanted, places))
+            passes.visits += 1
             passes.listed += count * VISIT_SAMPLES
             return
         for k, position in enumerate(wanted):

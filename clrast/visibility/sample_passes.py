@@ -21,12 +21,13 @@ Timed = Callable[[str, Callable[[], Any]], Any]
 class SamplePasses:
     """Passes over bands. timed : runs work and books its time on a stage. 
 
-    `count` : passes since it was set to 0; `listed` : samples decided beside these, where pixels are listed.
+    `count` : passes since it was set to 0; `visits` and `listed` : passes over listed pixels alone,
+    and the samples that these decided.
     """
 
     def __init__(self, tiles: TileRasterizer | FrustumTraversal, timed: Timed) -> None:
         self.tiles, self.timed = tiles, timed
-        self.count = self.listed = 0
+        self.count = self.visits = self.listed = 0
         self._is_centered = False
 
     def set_up(self, positions: Sequence[Position]) -> None:
