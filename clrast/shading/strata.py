@@ -40,7 +40,7 @@ TYPICAL_SHADED = 6
 def visits_of(round_number: int) -> list[tuple[int, bool, int]]:
     """What a round looks at: VISIT_SAMPLES samples each, by number; whether they are new; a bit for each that is shaded.
 
-    Round r ends with 16 * 2^r samples, of which the first 4 * 2^r may be shaded.
+    Round r ends with 16 * 2^r samples; the first 4 * 2^r may be shaded.
     """
     if round_number == 0:
         return [(0, True, (1 << VISIT_SAMPLES // SHADED_SHARE) - 1)]
@@ -54,7 +54,10 @@ def visits_of(round_number: int) -> list[tuple[int, bool, int]]:
 
 
 class StratifiedSampler:
-    """Samples a band's pixels in rounds of 16, 32, 64 .. samples. shader : of colour alone, with features.sample_list."""
+    """Samples a band's pixels in rounds of 16, 32, 64 .. samples.
+
+    shader : of colour alone, with features.sample_list.
+    """
 
     def __init__(
         self, device: Device, features: Features, wanted: Antialiasing, shader: Shader, max_pixels: int
@@ -136,8 +139,9 @@ class StratifiedSampler:
         }  # fmt: skip
 
     def _visit(
-        self, passes: SamplePasses, visit: int, is_new: bool, shaded: int, begins: bool, pixel_count: int, target: Shader
-    ) -> None:
+        self, passes: SamplePasses, visit: int, is_new: bool, shaded: int, begins: bool, pixel_count: int,
+        target: Shader,
+    ) -> None:  # fmt: skip
         """Find what 16 samples of the listed pixels show, shade those that are called for, and sum them."""
         view, count = passes.tiles.view, self._band["count"]
         if not begins:

@@ -1,4 +1,4 @@
-"""What samples of listed pixels show, VISIT_SAMPLES of each at a time: by lanes (cl/rasterize_samples.cl), or by passes."""
+"""What samples of listed pixels show, VISIT_SAMPLES at a time: by lanes (cl/rasterize_samples.cl), or by passes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class ListedSamples:
     ) -> None:  # fmt: skip
         """Find what samples VISIT_SAMPLES * visit and on show. Waits.
 
-        pixels : [count] of the band, rising; places : [pixel_count] where they stand there, or NO_HIT; None: all pixels.
+        pixels : [count] of the band, rising. places : [pixel_count] where they stand there, or NO_HIT. None: all.
         """
         first = VISIT_SAMPLES * visit
         wanted = self.positions[first : first + VISIT_SAMPLES]

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clrast.opencl import buffers, kernels
-from clrast.opencl.device import Device
 from clrast.opencl.constants import EVALUATION_DIRECT
+from clrast.opencl.device import Device
 from clrast.opencl.features import Features, Precision, Projection
 from clrast.visibility.geometry import Geometry
 from clrast.visibility.loop_limits import chunk_size_within, loop_limit, reference_span_within
