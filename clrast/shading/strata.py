@@ -38,7 +38,7 @@ TYPICAL_SHADED = 6
 
 
 def visits_of(round_number: int) -> list[tuple[int, bool, int]]:
-    """What a round looks at: VISIT_SAMPLES samples each, by number; whether they are new; a bit for each that is shaded.
+    """What a round looks at: VISIT_SAMPLES samples each, by number; whether they are new; a bit for each shaded one.
 
     Round r ends with 16 * 2^r samples; the first 4 * 2^r may be shaded.
     """
