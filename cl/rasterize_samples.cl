@@ -26,6 +26,8 @@
 #include "triangle_batch.clh"
 #include "sample_blocks.clh"
 
+#if !FILTERED  // rungs that filter take passes over all pixels: listed_samples.py
+
 #define REFRESH_BATCHES 4  // between updates of the culling bounds
 #define TILE_SQUARES (1 << (TILE_LOG2 - SQUARE_LOG2))
 
@@ -226,3 +228,5 @@ kernel void rasterize_samples(
   add_work(&samples.work, tile, work);
 #endif
 }
+
+#endif
