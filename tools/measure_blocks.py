@@ -7,6 +7,9 @@ refined, for the paraboloid, did not intersect the triangle. The tests, from the
               block's side on the disc; blocks with m > 1, or r < m/2, are always refined
     maximum   ours (cl/block_ranges.clh): the largest value that V takes in the block, in closed form
     cone      ours for the fisheye: V in the middle, and how far it may change from there
+    .. and w  the same of the three edges and of nearness, which must be above 0 somewhere in the block: so ask
+              cl/bin_triangles.cl and cl/sample_blocks.clh in rungs of float32, since near the antipode of a triangle
+              its edges reject little
 
 A refined block is needed where the triangle meets it: where one of POINTS x POINTS points of the block, its border
 included, lies in all three edges. (So thin triangles that pass between the points count as not met.) Triangles have
@@ -121,8 +124,9 @@ VIEWS = (
 )
 
 
-def random_edges(rng: np.random.Generator, count: int, angle: float, has_disc: bool) -> np.ndarray:
-    """(count, 3 edges, 3) normals that point inwards; axes of the cones within the view's half of directions."""
+def random_planes(rng: np.random.Generator, count: int, angle: float, has_disc: bool) -> np.ndarray:
+    """(count, 4, 3): three edges' normals that point inwards, and what gives nearness by its dot product with a
+    direction, but for a factor above 0. Axes of the cones lie within the view's half of directions."""
     axis = rng.normal(size=(count, 3))
     axis[:, 2] = abs(axis[:, 2]) if has_disc else axis[:, 2]
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
@@ -132,7 +136,10 @@ def random_edges(rng: np.random.Generator, count: int, angle: float, has_disc: b
     tilt = np.radians(angle) * np.sqrt(rng.random((count, 3, 1)))
     corners = np.cos(tilt) * axis[:, None] + np.sin(tilt) * off
     edges = np.cross(np.roll(corners, -1, axis=1), np.roll(corners, -2, axis=1))
-    return edges * np.sign(np.einsum("tkc,tkc->tk", edges, corners))[..., None]
+    edges *= np.sign(np.einsum("tkc,tkc->tk", edges, corners))[..., None]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals *= np.sign((normals * corners[:, 0]).sum(1))[:, None]
+    return np.concatenate([edges, normals[:, None]], axis=1)
 
 
 def meets(view: View, edges: np.ndarray, blocks: np.ndarray) -> np.ndarray:
@@ -158,19 +165,19 @@ def quarters(blocks: np.ndarray) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def measure(view: View, test: Test, edges: np.ndarray) -> tuple[int, int, int]:
-    """Blocks tested, blocks refined, and how many of these the triangle does not meet."""
-    triangle, blocks = np.arange(len(edges)), np.tile([[-1.0, -1.0, 1.0, 1.0]], (len(edges), 1))
+def measure(view: View, test: Test, planes: np.ndarray, asked: int) -> tuple[int, int, int]:
+    """Blocks tested by the first `asked` planes, blocks refined, and how many of these the triangle does not meet."""
+    triangle, blocks = np.arange(len(planes)), np.tile([[-1.0, -1.0, 1.0, 1.0]], (len(planes), 1))
     tested = refined = needless = 0
     for _ in range(LEVELS):
         keep = np.ones(len(blocks), dtype=bool)
-        for i in range(3):
-            keep &= test(edges[triangle, i], blocks)
+        for i in range(asked):
+            keep &= test(planes[triangle, i], blocks)
         tested, refined = tested + len(blocks), refined + int(keep.sum())
         triangle, blocks = triangle[keep], blocks[keep]
         for first in range(0, len(blocks), PAIRS_AT_ONCE):
             chosen = slice(first, first + PAIRS_AT_ONCE)
-            needless += int((~meets(view, edges[triangle[chosen]], blocks[chosen])).sum())
+            needless += int((~meets(view, planes[triangle[chosen], :3], blocks[chosen])).sum())
         triangle, blocks = np.tile(triangle, 4), quarters(blocks)
         if view.has_disc:
             nearest = np.clip(0, blocks[:, :2], blocks[:, 2:])
@@ -184,17 +191,19 @@ def main() -> int:
     parser.add_argument("--triangles", type=int, default=100, help="for each angle [default: 100]")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    print(f"{'projection':<12}{'test':<9}{'angle':>6}{'tested':>10}{'refined':>10}{'not needed':>12}")
+    print(f"{'projection':<12}{'test':<15}{'angle':>6}{'tested':>10}{'refined':>10}{'not needed':>12}")
     for view in VIEWS:
-        for name, test in view.tests.items():
+        asked = [(name, test, 3) for name, test in view.tests.items()]
+        for name, test, count in (*asked, (f"{asked[-1][0]} and w", asked[-1][1], 4)):
             rows = []
             for angle in ANGLES:
                 rng = np.random.default_rng(arguments.seed)
-                rows.append(measure(view, test, random_edges(rng, arguments.triangles, angle, view.has_disc)))
+                planes = random_planes(rng, arguments.triangles, angle, view.has_disc)
+                rows.append(measure(view, test, planes, count))
             for angle, row in (*zip(map(str, ANGLES), rows, strict=True), ("all", tuple(map(sum, zip(*rows))))):
                 tested, refined, needless = row
                 share = needless / max(refined, 1)
-                print(f"{view.name:<12}{name:<9}{angle:>6}{tested:>10,}{refined:>10,}{share:>11.1%}")
+                print(f"{view.name:<12}{name:<15}{angle:>6}{tested:>10,}{refined:>10,}{share:>11.1%}")
     return 0
 
 
