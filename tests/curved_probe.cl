@@ -1,4 +1,4 @@
-// Probes of elementary.clh and block_ranges.clh for tests: what their functions give for given numbers.
+// Probes of elementary.clh, block_ranges.clh and nearness_plane.clh for tests: what their functions give for given numbers.
 //
 // Arrays are planes of `count` numbers, one lane each. Tests: tests/test_projections.py.
 
@@ -38,5 +38,22 @@ kernel void probe_blocks(
                                        LOAD_V(blocks + 2 * count + first), LOAD_V(blocks + 3 * count + first));
   STORE_V(block_highest(LOAD_V(normals + first), LOAD_V(normals + count + first), LOAD_V(normals + 2 * count + first), range),
           highest + first);
+}
+
+// Reads: normals, points. Writes: volumes. Work item: VECTOR_WIDTH planes. Local memory: 0 bytes.
+kernel void probe_volumes(
+    uint count,                            // planes, a multiple of VECTOR_WIDTH
+    float eye_x,
+    float eye_y,
+    float eye_z,
+    global const float *restrict normals,  // [3][count] N
+    global const float *restrict points,   // [3][count] p
+    global float *restrict volumes)        // [count] N . (p - eye)
+{
+  const uint first = get_global_id(0) * VECTOR_WIDTH;
+  if (first >= count) return;
+  const Vec3 n = {LOAD_V(normals + first), LOAD_V(normals + count + first), LOAD_V(normals + 2 * count + first)};
+  const Vec3 p = {LOAD_V(points + first), LOAD_V(points + count + first), LOAD_V(points + 2 * count + first)};
+  STORE_V(precise_volume(n, p, (float4)(eye_x, eye_y, eye_z, 0.0f)), volumes + first);
 }
 #endif

@@ -1,4 +1,4 @@
-"""tests/curved_probe.cl from Python: what functions of cl/elementary.clh and cl/block_ranges.clh give for numbers."""
+"""tests/curved_probe.cl from Python: what functions of elementary.clh, block_ranges.clh, nearness_plane.clh give."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CurvedProbe:
             for name, values in inputs.items()
         }
         made = buffers.create(self.device, 4 * planes * padded)
-        output = {"results" if kernel == "probe_angles" else "highest": made}
+        output = {{"probe_angles": "results", "probe_blocks": "highest", "probe_volumes": "volumes"}[kernel]: made}
         self.program.launch(kernel, padded // width, 1, count=padded, **given, **output, **more)
         return buffers.download(self.device, made, np.float32, (planes, padded))[:, :count]
 
@@ -45,3 +45,8 @@ class CurvedProbe:
         """(count,) highest values; normals (count, 3), blocks (count, 4) x0 y0 x1 y1 from the image's centre."""
         built = build_view(view, np.zeros(3), np.ones(3), 5)
         return self._run("probe_blocks", 1, len(normals), {"normals": normals.T, "blocks": blocks.T}, view=built)[0]
+
+    def volumes(self, eye: np.ndarray, normals: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """(count,) N . (p - eye) of normals and points, (count, 3) float32."""
+        place = {f"eye_{axis}": float(value) for axis, value in zip("xyz", eye)}
+        return self._run("probe_volumes", 1, len(normals), {"normals": normals.T, "points": points.T}, **place)[0]
