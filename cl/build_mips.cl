@@ -24,7 +24,7 @@ kernel void build_level(
     uint width,
     uint height,
     uint srgb,                                    // 1: RGB bytes go through the sRGB table
-    global const float *restrict srgb_to_linear,  // [256]
+    global const float *restrict srgb_to_linear,  // [512] see Surfaces
     global const float *restrict midpoints,       // [255] linear values half way between sRGB bytes
     global uchar4 *texels)                        // of all textures
 {

@@ -61,7 +61,7 @@ kernel void begin_light(
     global const Material *restrict materials,     // [material_count]
     global const Texture *restrict textures,       // [texture_count]
     global const uchar4 *restrict texels,          // of all textures
-    global const float *restrict srgb_to_linear,   // [256]
+    global const float *restrict srgb_to_linear,   // [512] see Surfaces
     global float4 *restrict radiances)             // [item_count] RGB, weighted for the pixel
 {
   const uint first = get_global_id(0) * VECTOR_WIDTH;
@@ -123,7 +123,7 @@ kernel void aim_at_light(
     global const Material *restrict materials,     // [material_count]
     global const Texture *restrict textures,       // [texture_count]
     global const uchar4 *restrict texels,          // of all textures
-    global const float *restrict srgb_to_linear,   // [256]
+    global const float *restrict srgb_to_linear,   // [512] see Surfaces
     global const Light *restrict lights,           // [light_count]
     global const uint *restrict emitters,          // [emitter_count] prim_id of emissive triangles
     global const uint *restrict emitter_slots,     // [emitter_count] theirs in the hierarchy's leaves

@@ -158,7 +158,7 @@ kernel void rasterize_samples(
     global const Material *restrict materials,   // [material_count]
     global const Texture *restrict textures,     // [texture_count]
     global const uchar4 *restrict texels,        // of all textures
-    global const float *restrict srgb_to_linear, // [256]
+    global const float *restrict srgb_to_linear, // [512] see Surfaces
     global const float2 *restrict uv,            // [vertex_count]
     global const float2 *restrict uv1,           // [vertex_count]
     global const float4 *restrict colors,        // [vertex_count] linear

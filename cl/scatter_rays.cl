@@ -83,7 +83,7 @@ kernel void scatter_rays(
     global const Material *restrict materials,      // [material_count]
     global const Texture *restrict textures,        // [texture_count]
     global const uchar4 *restrict texels,           // of all textures
-    global const float *restrict srgb_to_linear,    // [256]
+    global const float *restrict srgb_to_linear,    // [512] see Surfaces
     global float4 *restrict slot_directions,        // [slot_count * item_count] xyz; w t_max
     global float4 *restrict slot_throughputs,       // [slot_count * item_count] RGB; w density
 #if FOOTPRINTS

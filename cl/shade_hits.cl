@@ -166,7 +166,7 @@ kernel void shade_hits(
     global const Material *restrict materials,     // [material_count]
     global const Texture *restrict textures,       // [texture_count]
     global const uchar4 *restrict texels,          // of all textures
-    global const float *restrict srgb_to_linear,   // [256]
+    global const float *restrict srgb_to_linear,   // [512] see Surfaces
     global const Light *restrict lights,           // [light_count]
     global const uint *restrict visible_prims,     // [pixel_count] prim_id or NO_HIT
 #if SAMPLE_LIST

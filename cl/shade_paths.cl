@@ -91,7 +91,7 @@ kernel void shade_paths(
     global const Material *restrict materials,     // [material_count]
     global const Texture *restrict textures,       // [texture_count]
     global const uchar4 *restrict texels,          // of all textures
-    global const float *restrict srgb_to_linear,   // [256]
+    global const float *restrict srgb_to_linear,   // [512] see Surfaces
     global const Light *restrict lights,           // [light_count]
     global const uint *restrict emitters,          // [emitter_count] prim_id of emissive triangles
     global const uint *restrict emitter_slots,     // [emitter_count] theirs in the hierarchy's leaves

@@ -47,7 +47,7 @@ kernel void trace_closest(
     global const Material *restrict materials, // [material_count]
     global const Texture *restrict textures,   // [texture_count]
     global const uchar4 *restrict texels,      // of all textures
-    global const float *restrict srgb_to_linear, // [256]
+    global const float *restrict srgb_to_linear, // [512] see Surfaces
     global const float2 *restrict uv,          // [vertex_count] or unused
     global const float2 *restrict uv1,         // [vertex_count] or unused
     global const float4 *restrict colors,      // [vertex_count] linear, or unused
@@ -108,7 +108,7 @@ kernel void trace_any(
     global const Material *restrict materials, // [material_count]
     global const Texture *restrict textures,   // [texture_count]
     global const uchar4 *restrict texels,      // of all textures
-    global const float *restrict srgb_to_linear, // [256]
+    global const float *restrict srgb_to_linear, // [512] see Surfaces
     global const float2 *restrict uv,          // [vertex_count] or unused
     global const float2 *restrict uv1,         // [vertex_count] or unused
     global const float4 *restrict colors,      // [vertex_count] linear, or unused

@@ -40,9 +40,9 @@ METHODS = AVAILABLE_METHODS
 AUTO_ACCELERATOR = "bvh"
 """Of secondary rays where --accelerator does not say.
 
-On four scenes of 69,000 to 330,000 triangles the grid took 1.9 to 2.2 times as long for closest hits and 2.4 to 4.4
-times for any hit (tools/bench_rays.py). It is built in a third to six tenths of the time, which pays where all frames
-of a scene together have less than about a ray a triangle.
+On three scenes of 69,000 to 330,000 triangles the grid took 2.6 to 3.0 times as long for closest hits and 3.0 to 6.8
+times for any hit (tools/bench_rays.py). It is built in four tenths of the time, which pays where all frames of a scene
+together have less than about two rays a triangle.
 """
 GRID_METHODS = tuple(name for name, row in METHOD_TABLE.items() if row.grid)
 SHADING_RATES = ("pixel", "sample", "auto")

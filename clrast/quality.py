@@ -10,7 +10,7 @@ At 512x512 (tools/make_accuracy_pictures.py; times over that of `preview`, rmse 
             bunny           Sponza inside   data/room.toml
     preview 1    0.0103     1    0.0241     1    0.0212      as fast as the rung `fast`, and without its wrong samples
     draft   4.3  0.0037     5    0.0075     5    0.0056      textures too, which msaa leaves as they are
-    final   52   0.0006     63   0.0010     63   0.0008      exact costs up to 5 per cent; auto is slower for its error
+    final   52   0.0006     63   0.0010     63   0.0008      exact costs up to 5 per cent
 """
 
 from __future__ import annotations
