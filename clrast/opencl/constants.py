@@ -120,6 +120,12 @@ TURN_LOG2 = 30
 NODE_WORDS = 7 * NODE_WIDTH
 """Words of a node of the BVH, for rays: six of each child's box, and what the child is."""
 
+MAX_LISTED = 64
+"""Triangles of a scene through which rays take no structure, but meet each: cl/triangle_list.clh."""
+
+LIST_WORDS = 10
+"""Words of each of them."""
+
 RAYS_PER_ITEM = 64
 """Rays of any origin and direction that one work item traces."""
 

@@ -243,7 +243,7 @@ SCALAR_PROGRAMS = ("prepare_triangles.cl", "shade_hits.cl", "settle_contenders.c
 
 MASKED = ("alpha_mask", "alpha_blend", "textures", "vertex_colors")
 
-RAY_PROGRAMS = ("trace_rays.cl", "leave_hits.cl")
+RAY_PROGRAMS = ("trace_rays.cl", "trace_list.cl", "pack_leaves.cl", "leave_hits.cl")
 """Programs for rays of no camera: always exact, each ray a perspective sample of its own. They read the vector width,
 float64, the order of triangles, the stack's capacity and what decides whether rays pass surfaces; what else views are
 made of leaves them as they are."""

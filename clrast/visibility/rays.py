@@ -17,12 +17,13 @@ from clrast.errors import DeviceError, SceneError, UsageError
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features, Precision, Projection
-from clrast.opencl.layout import NO_HIT, RAYS_PER_ITEM
+from clrast.opencl.layout import BLOCK_LANES, MAX_LISTED, NO_HIT, RAYS_PER_ITEM
 from clrast.opencl.runtimes import PREFETCHING
 from clrast.visibility.bvh import Bvh, build_bvh
 from clrast.visibility.geometry import Geometry, build_geometry
 from clrast.visibility.leaf_blocks import BLOCK_BYTES, leaf_blocks
 from clrast.visibility.loop_limits import loop_limit
+from clrast.visibility.triangle_list import list_triangles
 from clrast.visibility.ray_grid import GridRequest, RayGrid, build_ray_grid
 
 if TYPE_CHECKING:
@@ -150,7 +151,8 @@ class RayTracer:
     grid : over it. masks : with features.alpha_mask or alpha_blend what surfaces are looked up in, by the arguments of
     trace_rays.cl; rays then pass where a surface is masked, and `any` also where it blends and is thin;
     with features.indirect each ray is stopped by what blends with the probability alpha, and is to bring its draws.
-    `accelerator` : bvh or grid. `launches` : kernels launched. `nbytes` : of the structure and its leaves on the
+    `accelerator` : bvh or grid. `is_listed` : whether there are so few triangles that rays meet each, without a walk
+    through the hierarchy; with the same bits. `launches` : kernels launched. `nbytes` : of the structure and its leaves on the
     device. `grid_ms` : what building the grid took, where build_tracer did.
     Raises DeviceError on drivers that limit loops.
     """
@@ -169,12 +171,13 @@ class RayTracer:
         self.device, self.features, self.geometry = device, features, geometry
         self.launches = 0
         self.grid_ms = 0.0
-        self._program = kernels.build(device, "trace_rays.cl", features)
+        self.is_listed = grid is None and not masks and features.vector_width > 1 and geometry.triangle_count <= MAX_LISTED
+        self._program = kernels.build(device, "trace_list.cl" if self.is_listed else "trace_rays.cl", features)
         self._leaving = kernels.build(device, "leave_hits.cl", features)
         self._masks = dict(masks or {})
         if grid is None:
             self.accelerator = "bvh"
-            structure, places, counts = self._hierarchy_arguments()
+            structure, places, counts = self._list_arguments() if self.is_listed else self._hierarchy_arguments()
         else:
             self.accelerator = "grid"
             structure, places, counts = grid.arguments(), grid.block_places, grid.block_counts
@@ -185,9 +188,9 @@ class RayTracer:
             "corners": geometry.corners,
             "prims": structure.pop("prims"),
         }
-        self._scene = {**leaves, **structure}
+        self._scene: dict[str, Any] = {**leaves, **structure}
         self._vertices = {"positions": geometry.world_positions, "indices": geometry.indices}
-        self._program.launch(
+        kernels.build(device, "pack_leaves.cl", features).launch(
             "pack_leaves",
             -(-len(places) // WORK_GROUP) * WORK_GROUP,
             WORK_GROUP,
@@ -205,6 +208,24 @@ class RayTracer:
         nodes, places, counts = leaf_blocks(bvh)
         self.nbytes = nodes.nbytes
         return {"prims": self.geometry.prims, "nodes": buffers.upload(self.device, nodes)}, places, counts
+
+    def _list_arguments(self) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+        """Arguments that are those of trace_list.cl, and the places and counts of the list's blocks."""
+        assert self.geometry.bvh is not None
+        count = self.geometry.triangle_count
+        places = np.arange(0, count, BLOCK_LANES, dtype=np.uint32)
+        corners = buffers.download(self.device, self.geometry.corners, np.float32, (count, 3, 4))
+        edges, listed = list_triangles(corners[:, :, :3], self.geometry.bvh.prims)
+        self.nbytes = edges.nbytes + listed.nbytes
+        counts = np.minimum(count - places, BLOCK_LANES).astype(np.uint32)
+        arguments = {
+            "prims": self.geometry.prims,
+            "list_edges": buffers.upload(self.device, edges),
+            "list": buffers.upload(self.device, listed),
+            "edge_count": (edges.size - 4) // 6,
+            "triangle_count": count,
+        }
+        return arguments, places, counts
 
     def closest(
         self,
@@ -260,7 +281,10 @@ class RayTracer:
         masks = {"indices": self.geometry.indices, **self._masks} if self._masks else {}
         draws = rays.draws if self.features.alpha_blend and self.features.indirect else {}
         arguments = {**rays.arguments, **self._scene, **masks, **draws, **others}
-        per_item, group = (RAYS_PER_ITEM, 1) if self.features.vector_width > 1 else (1, WORK_GROUP)
+        width = self.features.vector_width
+        per_item, group = (RAYS_PER_ITEM, 1) if width > 1 else (1, WORK_GROUP)
+        if self.is_listed:
+            per_item, group = width, WORK_GROUP
         if rays.count:
             items = -(-rays.count // (per_item * group)) * group
             self._program.launch(kernel, items, group, ray_count=rays.count, **arguments)
