@@ -78,11 +78,12 @@ kernel void probe_pairs(
 {
   const uint i = get_global_id(0);
   if (i >= count) return;
-  const Pair a = {numbers[i], numbers[count + i]}, b = {numbers[2 * count + i], numbers[3 * count + i]};
+  const Pair a = {(float_v)(numbers[i]), (float_v)(numbers[count + i])};
+  const Pair b = {(float_v)(numbers[2 * count + i]), (float_v)(numbers[3 * count + i])};
   const Pair found[5] = {
       two_sum(a.high, b.high), two_product(a.high, b.high), pair_add(a, b), pair_multiply(a, b), pair_divide(a, b)};
   for (uint k = 0; k < 5; ++k) {
-    results[2 * k * count + i] = found[k].high;
-    results[(2 * k + 1) * count + i] = found[k].low;
+    results[2 * k * count + i] = FIRST_LANE(found[k].high);
+    results[(2 * k + 1) * count + i] = FIRST_LANE(found[k].low);
   }
 }

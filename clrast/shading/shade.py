@@ -76,6 +76,7 @@ class Shader:
         self.names = channel_names(groups)
         self.has_ids = "id" in groups
         self._program = kernels.build(device, "shade_hits.cl", features)
+        self._lanes = features.vector_width
         self._planes = np.zeros((), dtype=PLANES)
         for group in PLANES.names or ():
             first = channel_names(groups).index(GROUP_CHANNELS[group][0]) if group in groups and group != "id" else -1
@@ -118,9 +119,10 @@ class Shader:
         places : with features.sample_list [pixel_count] uint2, which samples: pixel of the band, place in it.
         follows : whether rays go on from hits at all; without them colour is not to be used.
         """
+        items = -(-pixel_count // self._lanes)
         self._program.launch(
             "shade_hits",
-            -(-pixel_count // WORK_GROUP) * WORK_GROUP,
+            -(-items // WORK_GROUP) * WORK_GROUP,
             WORK_GROUP,
             view=view,
             planes=self._planes,
