@@ -154,7 +154,7 @@ kernel void aim_at_light(
   }
   const Lights all = {lights, emitters, emitter_slots, power_sums, light_count, emitter_count, inverse_power};
 #if INDIRECT
-  const uint_v keys = hash_pairs(gather_words(item_keys, at.item), (uint_v)(seed));
+  const uint_v keys = hash_pairs(load_words(item_keys, first, item_count), (uint_v)(seed));
 #else
   const uint_v keys = (uint_v)(0);
 #endif

@@ -112,7 +112,7 @@ kernel void scatter_rays(
     return;
   }
 #if INDIRECT
-  const uint_v keys = hash_pairs(gather_words(item_keys, at.item), (uint_v)(seed));
+  const uint_v keys = hash_pairs(load_words(item_keys, first, item_count), (uint_v)(seed));
   const uint dimension = depth * PAIRS_OF_HIT + 2;
   Scattered ray = draw_rays(&at, draw_pairs(keys, path, dimension).y, draw_pairs(keys, path, dimension + 1));
   if (depth >= ROULETTE_DEPTH) ray = play_roulette(ray, draw_pairs(keys, path, dimension + 2).x);

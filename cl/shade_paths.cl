@@ -30,21 +30,22 @@
 // The rays that leave items. w of origins 0; w of directions: t_max, 0 where there is nothing to meet.
 typedef struct { global float4 *origins, *directions; } LeavingRays;
 
-INLINE void store_leaving(const LeavingRays *rays, uint first, uint lanes, const float4 *origins, const float4 *ways) {
-  for (uint lane = 0; lane < lanes; ++lane) {
-    rays->origins[first + lane] = (float4)(origins[lane].xyz, 0.0f);
-    rays->directions[first + lane] = (float4)(ways[lane].xyz, origins[lane].w > 0.0f ? ways[lane].w : 0.0f);
-  }
+// Stores rays that begin at `origins`, whose w is 0 where there is none, along `way` up to t_max.
+INLINE void store_leaving(const LeavingRays *rays, uint first, uint count, const float4 *origins, Vec3 way, float_v t_max) {
+  float_v begins;
+  const Vec3 origin = join_points(origins, &begins);
+  store_points(rays->origins, first, count, 1, 0, origin, (float_v)(0.0f));
+  store_points(rays->directions, first, count, 1, 0, way, begins > 0.0f ? t_max : (float_v)(0.0f));
 }
 
-// The ways of rays to lights from where they begin, which are not those from the hits. w: t_max.
-INLINE void aim_again(const float4 *origins, const float4 *ends, float4 *ways) {
-  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
-    const bool is_point = ends[lane].w > 0.0f;
-    const float4 aim = is_point ? ends[lane] - origins[lane] : ends[lane];
-    const float size = max(fabs(aim.x), max(fabs(aim.y), fabs(aim.z)));
-    ways[lane] = (float4)(aim.xyz, size >= LEAST_WAY && size <= LARGEST_WAY ? (is_point ? 1.0f : INFINITY) : 0.0f);
-  }
+// The ways of rays to lights from where they begin, which are not those from the hits. *t_max: 0 where there is none.
+INLINE Vec3 aim_again(const float4 *origins, const Aim *aim, float_v *t_max) {
+  float_v unused;
+  const int_v is_point = aim->to_point > 0.0f;
+  const Vec3 way = select3(is_point, subtract(aim->end, join_points(origins, &unused)), aim->end);
+  const float_v size = largest3(sizes3(way)), far = is_point ? (float_v)(1.0f) : (float_v)(INFINITY);
+  *t_max = ((size >= LEAST_WAY) & (size <= LARGEST_WAY)) ? far : (float_v)(0.0f);
+  return way;
 }
 
 // Light of dead items, whose rays left the scene.
@@ -140,16 +141,16 @@ kernel void shade_paths(
   LeftPoints points = points_of_weights(&t, at.weights);
   if (is_first) {
     float_v doubt;
-    const Vec3 position = gather_points(item_positions, at.item, &doubt);
+    const Vec3 position = load_points(item_positions, first, item_count, &doubt);
     points = points_of_positions(position, doubt);
   }
   at.position = points.at;
   load_surfaces(&items, &mesh, surfaces, &at);
-  if (!is_first) gather_points(item_throughputs, at.item, &at.drawn_density);
+  if (!is_first) load_points(item_throughputs, first, item_count, &at.drawn_density);
   points = keep_from_edges(&t, points, at.weights);
 
   // Light.
-  const uint_v keys = hash_pairs(gather_words(item_keys, at.item), (uint_v)(seed));
+  const uint_v keys = hash_pairs(load_words(item_keys, first, item_count), (uint_v)(seed));
   if (shines(&items, surfaces, &at)) {
     const Vec3 own = own_light(&items, &mesh, surfaces, &at, item_origins, inverse_power);
     float4 brought[VECTOR_WIDTH];
@@ -159,26 +160,26 @@ kernel void shade_paths(
       radiances[first + first_lane(mask)] = brought[first_lane(mask)];
     }
   }
-  float4 origins[VECTOR_WIDTH], ends[VECTOR_WIDTH], ways[VECTOR_WIDTH];
+  float4 origins[VECTOR_WIDTH];
   Aim aim = {none, none, (float_v)(0.0f), (uint_v)(NO_HIT), LANES < 0};
   if (light_count + emitter_count != 0) aim = aim_at_lights(&at, &mesh, surfaces, &all, 0, keys, path, depth, is_last != 0);
   const Vec3 way = select3(aim.to_point > 0.0f, subtract(aim.end, at.position), aim.end);
   const int_v sides = leave_kept(&t, points, way, aim.goes, origins);
-  list_points(aim.end, aim.to_point, ends);
-  aim_again(origins, ends, ways);
+  float_v t_max;
+  const Vec3 to_end = aim_again(origins, &aim, &t_max);
   const LeavingRays to_light = {light_origins, light_directions}, onwards = {slot_origins, slot_directions};
-  store_leaving(&to_light, first, lanes, origins, ways);
-  for (uint lane = 0; lane < lanes; ++lane) slot_ends[first + lane] = ends[lane];
+  store_leaving(&to_light, first, item_count, origins, to_end, t_max);
+  store_points(slot_ends, first, item_count, 1, 0, aim.end, aim.to_point);
   store_points(slot_radiances, first, item_count, 1, 0, aim.radiance, (float_v)(0.0f));
   store_words(slot_lamps, first, item_count, aim.lamp_slot);
 #if ALPHA_BLEND
-  store_words(light_keys, first, item_count, keys_of_rays(gather_words(item_keys, at.item), seed, depth, true));
+  store_words(light_keys, first, item_count, keys_of_rays(load_words(item_keys, first, item_count), seed, depth, true));
 #endif
+  store_words(excluded, first, item_count, LOAD_V(at.prim));
   int goes[VECTOR_WIDTH];
   STORE_V(aim.goes, goes);
   for (uint lane = 0; lane < lanes; ++lane) {
     slot_kinds[first + lane] = kinds[lane] | (goes[lane] ? HAS_LIGHT_RAY : 0u);
-    excluded[first + lane] = at.prim[lane];
     next_kinds[first + lane] = 0;
   }
   if (is_last) return;
@@ -190,8 +191,7 @@ kernel void shade_paths(
   const int_v goes_on = worth_tracing(&at, ray, 0.0f);
   float4 again[VECTOR_WIDTH];
   leave_again(&t, points, ray.direction, goes_on, sides, origins, again);
-  list_points(ray.direction, (float_v)(INFINITY), ways);
-  store_leaving(&onwards, first, lanes, again, ways);
+  store_leaving(&onwards, first, item_count, again, ray.direction, (float_v)(INFINITY));
   store_points(slot_throughputs, first, item_count, 1, 0, ray.throughput, ray.density);
   STORE_V((goes_on ? ray.kind : (int_v)(0)), goes);
   for (uint lane = 0; lane < lanes; ++lane) next_kinds[first + lane] = (uchar)goes[lane];

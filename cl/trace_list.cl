@@ -77,10 +77,10 @@ INLINE void meet_lamps(global const float *list, const ListedRays *at, uint_v la
   }
 }
 
-INLINE void load_listed(const TriangleList *list, const Rays *rays, const uint *items, ListedRays *at, Vec3 *origin,
+INLINE void load_listed(const TriangleList *list, const Rays *rays, uint first, uint count, ListedRays *at, Vec3 *origin,
                         float_v *t_min, float_v *t_max) {
-  *origin = gather_points(rays->origins, items, t_min);
-  const Vec3 direction = gather_points(rays->directions, items, t_max);
+  *origin = load_points(rays->origins, first, count, t_min);
+  const Vec3 direction = load_points(rays->directions, first, count, t_max);
   place_rays(list, *origin, direction, at);
 }
 
@@ -107,13 +107,11 @@ kernel void trace_closest(
   const Leaves leaves = {blocks, corners, prims};
   const Rays rays = {origins, directions, excluded, 0, 0, prims_hit, distances, weights, 0};
   const TriangleList all = {list_edges, list, edge_count, triangle_count};
-  uint items[VECTOR_WIDTH];
-  list_items(first, ray_count, items);
   ListedRays at;
   Vec3 origin;
   float_v t_min, t_max;
-  load_listed(&all, &rays, items, &at, &origin, &t_min, &t_max);
-  const uint_v left = gather_words(excluded, items);
+  load_listed(&all, &rays, first, ray_count, &at, &origin, &t_min, &t_max);
+  const uint_v left = load_words(excluded, first, ray_count);
 
   // The best hit that is surely met, and the least t of what may be met and is neither surely behind it nor itself.
   const float_v nowhere = (float_v)(INFINITY);
@@ -178,14 +176,12 @@ kernel void trace_any(
   const Leaves leaves = {blocks, corners, prims};
   const Rays rays = {origins, directions, excluded, ends, lamp_slots, 0, 0, 0, occluded};
   const TriangleList all = {list_edges, list, edge_count, triangle_count};
-  uint items[VECTOR_WIDTH];
-  list_items(first, ray_count, items);
   ListedRays at;
   Vec3 origin;
   float_v t_min, t_max;
-  load_listed(&all, &rays, items, &at, &origin, &t_min, &t_max);
-  const uint_v left = gather_words(excluded, items);
-  const uint_v lamps = ends ? gather_words(lamp_slots, items) : (uint_v)(NO_HIT);
+  load_listed(&all, &rays, first, ray_count, &at, &origin, &t_min, &t_max);
+  const uint_v left = load_words(excluded, first, ray_count);
+  const uint_v lamps = ends ? load_words(lamp_slots, first, ray_count) : (uint_v)(NO_HIT);
   const int_v has_lamp = lamps != (uint_v)(NO_HIT), from_start = t_min == 0.0f;
 
   // Hits end at t_max; where there is a lamp at that, whatever t_max is. Where none is surely met the leaves' test decides.
