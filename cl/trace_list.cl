@@ -60,7 +60,7 @@ INLINE void find_hits(const Leaves *leaves, const Rays *rays, const uint *slots,
   }
 }
 
-// Bounds of where rays meet the lamps that they look for. Most look for the same few.
+// Bounds of where rays meet the lamps that they look for; nothing is before one that is in doubt. Most look for the same few.
 INLINE void meet_lamps(global const float *list, const ListedRays *at, uint_v lamps, float_v *low, float_v *high, int_v *in_doubt) {
   uint slots[VECTOR_WIDTH];
   STORE_V(lamps, slots);
@@ -71,7 +71,7 @@ INLINE void meet_lamps(global const float *list, const ListedRays *at, uint_v la
     ListedHits found;
     const bool is_left = meet_listed(list + LIST_WORDS * slot, at, &found);
     const int_v is_met = is_lamp & (is_left ? found.met : (int_v)(0));
-    *low = is_met ? found.below.x / found.below.y : *low;
+    *low = is_lamp ? (is_met ? found.below.x / found.below.y : (float_v)(0.0f)) : *low;
     *high = is_met ? found.above.x / found.above.y : *high;
     *in_doubt |= is_lamp & (is_met == 0);
   }

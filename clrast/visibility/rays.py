@@ -23,8 +23,8 @@ from clrast.visibility.bvh import Bvh, build_bvh
 from clrast.visibility.geometry import Geometry, build_geometry
 from clrast.visibility.leaf_blocks import BLOCK_BYTES, leaf_blocks
 from clrast.visibility.loop_limits import loop_limit
-from clrast.visibility.triangle_list import list_triangles
 from clrast.visibility.ray_grid import GridRequest, RayGrid, build_ray_grid
+from clrast.visibility.triangle_list import list_triangles
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -152,8 +152,8 @@ class RayTracer:
     trace_rays.cl; rays then pass where a surface is masked, and `any` also where it blends and is thin;
     with features.indirect each ray is stopped by what blends with the probability alpha, and is to bring its draws.
     `accelerator` : bvh or grid. `is_listed` : whether there are so few triangles that rays meet each, without a walk
-    through the hierarchy; with the same bits. `launches` : kernels launched. `nbytes` : of the structure and its leaves on the
-    device. `grid_ms` : what building the grid took, where build_tracer did.
+    through the hierarchy; with the same bits. `launches` : kernels launched. `nbytes` : of the structure and its
+    leaves on the device. `grid_ms` : what building the grid took, where build_tracer did.
     Raises DeviceError on drivers that limit loops.
     """
 
@@ -171,7 +171,8 @@ class RayTracer:
         self.device, self.features, self.geometry = device, features, geometry
         self.launches = 0
         self.grid_ms = 0.0
-        self.is_listed = grid is None and not masks and features.vector_width > 1 and geometry.triangle_count <= MAX_LISTED
+        is_small = geometry.triangle_count <= MAX_LISTED
+        self.is_listed = is_small and grid is None and not masks and features.vector_width > 1
         self._program = kernels.build(device, "trace_list.cl" if self.is_listed else "trace_rays.cl", features)
         self._leaving = kernels.build(device, "leave_hits.cl", features)
         self._masks = dict(masks or {})

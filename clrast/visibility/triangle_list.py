@@ -1,4 +1,4 @@
-"""The triangles of a small scene, for rays that meet each of them: cl/triangle_list.clh says what is found with them."""
+"""The triangles of a small scene, for rays that meet each: cl/triangle_list.clh says what is found with them."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ NOTHING_MET = -1.0
 """In place of a doubt: nothing passes between less than 1 and more than -1."""
 
 
+@np.errstate(over="ignore")
 def list_triangles(corners: np.ndarray, prims: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What TriangleList of cl/triangle_list.clh takes: edges and triangles, (4 + 6 * edge_count,) and (n, LIST_WORDS).
 
-    corners : (n, 3, 3) float32, world space. prims : (n,) uint32, their prim_id. Both are float32.
+    corners : (n, 3, 3) float32, world space. prims : (n,) uint32, their prim_id. Both are float32; what that cannot
+    hold is infinite, and nothing is sure of it.
     """
     points = corners.astype(np.float64)
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
@@ -38,7 +40,7 @@ def list_triangles(corners: np.ndarray, prims: np.ndarray) -> tuple[np.ndarray, 
     is_nothing = (along[of_triangle] == 0).all(axis=2).any(axis=1)
 
     listed = np.zeros((len(corners), LIST_WORDS), dtype=np.float32)
-    listed[:, :3] = (of_triangle << 1 | turned).astype(np.uint32).view(np.float32)
+    listed[:, :3] = (2 * of_triangle + turned).astype(np.uint32).view(np.float32)
     listed[:, 3:6] = normals
     listed[:, 6] = (normals * points[:, 0]).sum(axis=1)
     listed[:, 7] = EDGE_DOUBT * np.maximum(size.sum(axis=2).max(axis=1), LEAST_EDGE)
@@ -52,7 +54,8 @@ def list_triangles(corners: np.ndarray, prims: np.ndarray) -> tuple[np.ndarray, 
 def _shared_edges(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Edges by their ends, each once.
 
-    Returns (edge_count, 6) float64; and of each edge of triangles, (n, 3), whether it runs the other way, and which it is.
+    Returns (edge_count, 6) float64; and of each edge of triangles, (n, 3), whether it runs the other way, and which it
+    is.
     """
     starts, ends = corners.astype(np.float64), np.roll(corners, -1, axis=1).astype(np.float64)
     differ = starts != ends
