@@ -10,22 +10,11 @@
 // Good at: few edges, large flat regions. Bad at: noise everywhere (every pass decides the samples of all pixels).
 // Tests: tests/test_antialiasing.py.
 
+#include "color_planes.clh"
+
 #pragma OPENCL FP_CONTRACT OFF
 
 #define STATE_PLANES 8  // sums of R G B A less those of the centre, then sums of their squares
-
-static inline float4 load_planes(global const float *planes, size_t stride, size_t at) {
-  return (float4)(planes[at], planes[stride + at], planes[2 * stride + at], planes[3 * stride + at]);
-}
-
-static inline void store_planes(global float *planes, size_t stride, size_t at, float4 value) {
-  planes[at] = value.x;
-  planes[stride + at] = value.y;
-  planes[2 * stride + at] = value.z;
-  planes[3 * stride + at] = value.w;
-}
-
-static inline float largest_of(float4 v) { return max(max(v.x, v.y), max(v.z, v.w)); }
 
 // A quad lies in one band: bands begin at even rows. A ramp of a range per pixel has a deviation of 1/sqrt(12) of it.
 // Reads: values (shade_hits). Writes: edge_flags (for list_edge_pixels). Work item: one pixel. Local memory: 0 bytes.
@@ -39,31 +28,15 @@ kernel void flag_contrast(
   const uint pixel = get_global_id(0);
   if (pixel >= pixel_count) return;
   const uint column = pixel % width & ~1u, row = pixel / width & ~1u, rows = pixel_count / width;
-  float4 low = load_planes(values, pixel_count, pixel), high = low;
+  float4 low = load_color(values, pixel_count, pixel), high = low;
   for (uint k = 0; k < 4; ++k) {
     const uint other_column = column + (k & 1), other_row = row + (k >> 1);
     if (other_column >= width || other_row >= rows) continue;
-    const float4 other = load_planes(values, pixel_count, (size_t)other_row * width + other_column);
+    const float4 other = load_color(values, pixel_count, (size_t)other_row * width + other_column);
     low = min(low, other);
     high = max(high, other);
   }
-  if (largest_of(high - low) * 0.2886751f > threshold) edge_flags[pixel] = 255;
-}
-
-// Reads: pixels (list_edge_pixels, keep_pixels), visible_prims (rasterize_tiles). Writes: shaded_prims, places (for
-// shade_hits). Work item: one listed pixel. Local memory: 0 bytes.
-kernel void list_places(
-    uint count,                                // of listed pixels
-    uint position,                             // of the sample, 256ths, x | y << 16
-    global const uint *restrict pixels,        // [count]
-    global const uint *restrict visible_prims, // [pixel_count] at the sample
-    global uint *restrict shaded_prims,        // [count]
-    global uint2 *restrict places)             // [count]
-{
-  const uint item = get_global_id(0);
-  if (item >= count) return;
-  shaded_prims[item] = visible_prims[pixels[item]];
-  places[item] = (uint2)(pixels[item], position);
+  if (largest_channel(high - low) * 0.2886751f > threshold) edge_flags[pixel] = 255;
 }
 
 // Reads: pixels, colors (shade_hits), values (shade_hits, at the centres). Writes: state (for judge_pixels).
@@ -71,27 +44,25 @@ kernel void list_places(
 kernel void gather_sample(
     uint count,
     uint pixel_count,
-    uint color_stride,                     // entries of a plane of colours
-    uint by_pixel,                         // 1: colours are those of all pixels, 0: of the list
     uint begins,                           // 1: the first sample
     global const uint *restrict pixels,    // [count]
-    global const float *restrict colors,   // [4 * color_stride] R G B A
+    global const float *restrict colors,   // [4 * pixel_count] R G B A of all pixels at the sample
     global const float *restrict values,   // [4 * pixel_count] at the centres
     global float *restrict state)          // [STATE_PLANES * count]
 {
   const uint item = get_global_id(0);
   if (item >= count) return;
   const uint pixel = pixels[item];
-  const float4 color = load_planes(colors, color_stride, by_pixel ? pixel : item);
-  const float4 d = color - load_planes(values, pixel_count, pixel);
+  const float4 color = load_color(colors, pixel_count, pixel);
+  const float4 d = color - load_color(values, pixel_count, pixel);
   float4 sum = (float4)(0.0f), squares = (float4)(0.0f);
   global float *square_planes = state + 4 * (size_t)count;
   if (!begins) {
-    sum = load_planes(state, count, item);
-    squares = load_planes(square_planes, count, item);
+    sum = load_color(state, count, item);
+    squares = load_color(square_planes, count, item);
   }
-  store_planes(state, count, item, sum + d);
-  store_planes(square_planes, count, item, squares + d * d);
+  store_color(state, count, item, sum + d);
+  store_color(square_planes, count, item, squares + d * d);
 }
 
 // Reads: state (gather_sample). Writes: keep (for keep_pixels). Work item: one listed pixel. Local memory: 0 bytes.
@@ -105,9 +76,9 @@ kernel void judge_pixels(
 {
   const uint item = get_global_id(0);
   if (item >= count) return;
-  const float4 mean = load_planes(state, count, item) / sample_count;
-  const float4 squares = load_planes(state + 4 * (size_t)count, count, item) / sample_count;
-  const float variance = max(largest_of(squares - mean * mean), 0.0f);
+  const float4 mean = load_color(state, count, item) / sample_count;
+  const float4 squares = load_color(state + 4 * (size_t)count, count, item) / sample_count;
+  const float variance = max(largest_channel(squares - mean * mean), 0.0f);
   keep[item] = sqrt(variance) * error_factor > threshold;
 }
 
@@ -132,8 +103,8 @@ kernel void keep_pixels(
   for (uint item = begin; item < min(begin + LIST_CHUNK, count); ++item) {
     const uint pixel = pixels[item];
     if (!keep[item]) {
-      const float4 center = load_planes(values, pixel_count, pixel);
-      store_planes(values, pixel_count, pixel, center + load_planes(state, count, item) / sample_count);
+      const float4 center = load_color(values, pixel_count, pixel);
+      store_color(values, pixel_count, pixel, center + load_color(state, count, item) / sample_count);
       continue;
     }
     kept_pixels[position] = pixel;

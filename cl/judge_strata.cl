@@ -6,13 +6,9 @@
 //   keep_strata: the list of these; the others' colours
 // Good at: lists of any length. Bad at: nothing known. Tests: tests/test_antialiasing.py.
 
+#include "color_planes.clh"
+
 #pragma OPENCL FP_CONTRACT OFF
-
-static inline float largest_channel(float4 v) { return max(max(v.x, v.y), max(v.z, v.w)); }
-
-static inline float4 load_color(global const float *planes, size_t stride, size_t at) {
-  return (float4)(planes[at], planes[stride + at], planes[2 * stride + at], planes[3 * stride + at]);
-}
 
 // Reads: colors (shade_hits), values (shade_hits, at the centres). Writes: sums (for estimate_errors).
 // Work item: one listed pixel. Local memory: 0 bytes.
@@ -162,9 +158,6 @@ kernel void keep_strata(
       const uint both = stratum_counts[STRATA * slot + k];
       if (both) color += sums[2 * STRATA * slot + k] / (float)(both >> 16) * ((float)(both & 0xffffu) / sample_count);
     }
-    values[pixel] = color.x;
-    values[(size_t)pixel_count + pixel] = color.y;
-    values[2 * (size_t)pixel_count + pixel] = color.z;
-    values[3 * (size_t)pixel_count + pixel] = color.w;
+    store_color(values, pixel_count, pixel, color);
   }
 }

@@ -9,6 +9,8 @@
 // bit depends on tiles or threads. The box filter's weights are 1, its reach is the pixel itself.
 // Good at: any number of samples, one at a time. Bad at: nothing known. Tests: tests/test_antialiasing.py.
 
+#include "color_planes.clh"
+
 #pragma OPENCL FP_CONTRACT OFF
 
 // Reads: values (shade_hits). Writes: sums (for divide_sums). Work item: one pixel. Local memory: 0 bytes.
@@ -29,7 +31,7 @@ kernel void add_sample(
   float4 sum = (float4)(0.0f);
   float weight_sum = 0.0f;
   if (!begins) {
-    sum = (float4)(sums[pixel], sums[stride + pixel], sums[2 * stride + pixel], sums[3 * stride + pixel]);
+    sum = load_color(sums, stride, pixel);
     weight_sum = sums[4 * stride + pixel];
   }
   uint tap = first_weight;
@@ -37,14 +39,10 @@ kernel void add_sample(
     for (int dx = -r; dx <= r; ++dx, ++tap) {
       if (column + dx < 0 || column + dx >= (int)width || row + dy < 0 || row + dy >= rows) continue;
       const size_t other = (size_t)(row + dy) * width + (column + dx);
-      const float4 color = (float4)(values[other], values[stride + other], values[2 * stride + other], values[3 * stride + other]);
-      sum += color * weights[tap];
+      sum += load_color(values, stride, other) * weights[tap];
       weight_sum += weights[tap];
     }
-  sums[pixel] = sum.x;
-  sums[stride + pixel] = sum.y;
-  sums[2 * stride + pixel] = sum.z;
-  sums[3 * stride + pixel] = sum.w;
+  store_color(sums, stride, pixel, sum);
   sums[4 * stride + pixel] = weight_sum;
 }
 
@@ -57,7 +55,7 @@ kernel void divide_sums(
   const uint pixel = get_global_id(0);
   if (pixel >= pixel_count) return;
   const size_t stride = pixel_count;
-  for (uint plane = 0; plane < 4; ++plane) values[plane * stride + pixel] = sums[plane * stride + pixel] / sums[4 * stride + pixel];
+  store_color(values, stride, pixel, load_color(sums, stride, pixel) / sums[4 * stride + pixel]);
 }
 
 // A pixel's samples as surfaces that were shaded once, see share_shading.cl.
@@ -69,10 +67,6 @@ typedef struct {
   global const uint *first_surfaces;  // [edge_count]
   global const float *shaded;         // [4 * listed_count] colours of the listed surfaces
 } SharedColors;
-
-static inline float4 load_color(global const float *planes, size_t stride, size_t at) {
-  return (float4)(planes[at], planes[stride + at], planes[2 * stride + at], planes[3 * stride + at]);
-}
 
 // The colour of one sample of an edge pixel: `place` is its place among them.
 static inline float4 shared_color(const SharedColors *c, uint pixel, uint place, uint surface) {
@@ -110,10 +104,7 @@ kernel void resolve_surfaces(
     known += 1.0f;
   }
   if (others == SURFACE_OF_CENTER) return;  // as in a pixel that is no edge pixel, to the last bit
-  for (uint plane = 0; plane < 4; ++plane) {
-    const float total = plane == 0 ? sum.x : (plane == 1 ? sum.y : (plane == 2 ? sum.z : sum.w));
-    values[plane * (size_t)pixel_count + pixel] = total / known;
-  }
+  store_color(values, pixel_count, pixel, sum / known);
 }
 
 // The same for filters wider than a pixel. Reads besides: edge_places (list_edge_pixels). Writes: sums (for
@@ -154,9 +145,6 @@ kernel void filter_surfaces(
         weight_sum += weight;
       }
     }
-  sums[pixel] = sum.x;
-  sums[stride + pixel] = sum.y;
-  sums[2 * stride + pixel] = sum.z;
-  sums[3 * stride + pixel] = sum.w;
+  store_color(sums, stride, pixel, sum);
   sums[4 * stride + pixel] = weight_sum;
 }

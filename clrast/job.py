@@ -234,7 +234,7 @@ class RenderJob:
         """Render all bands into `channels`; keeps the smallest time of each stage unless `first`."""
         self._frame_times = {}
         self.hit_count = self.passes = self.band_count = self.samples_decided = 0
-        self.sample_passes.count = self.sample_passes.visits = self.sample_passes.listed = 0
+        self.sample_passes.start_frame()
         if self.integrator is not None:
             self.integrator.start_frame()
         if self.resolver is not None:

@@ -1,4 +1,7 @@
-"""Antialiasing that samples a pixel until its estimated error is small (cl/adaptive_samples.cl): `--aa auto:EPS`."""
+"""`--aa auto:EPS` where surfaces blend: pixels are sampled until their estimated error is small.
+
+The kernels are cl/adaptive_samples.cl. Where nothing blends, strata.py takes fewer samples.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +14,14 @@ from clrast.opencl import buffers, kernels
 from clrast.opencl.constants import LIST_CHUNK
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
-from clrast.shading.edge_pixels import BYTES_PER_PIXEL, EdgePixels, padded
+from clrast.shading.edge_pixels import BYTES_PER_PIXEL, FOOTPRINT, EdgePixels, padded
 from clrast.shading.shade import WORK_GROUP, Shader
 from clrast.shading.supersample import Layers
 from clrast.visibility.sample_passes import SamplePasses
-from clrast.visibility.sample_patterns import Antialiasing, Position
+from clrast.visibility.sample_patterns import Antialiasing
 
 FIRST_SAMPLES = 8
 """Samples whose triangles are looked at in every pixel, and that every listed pixel gets."""
-
-FOOTPRINT = 0.25
-"""Side of what a sample of a listed pixel stands for, pixels: that of one in 16. For the first 8 finer ones than that
-are as good, and with coarser ones the error stops to fall where textures are blurred."""
 
 STATE_BYTES = 32
 """Device bytes of a listed pixel's sums."""
@@ -31,12 +30,12 @@ STATE_BYTES = 32
 class AdaptiveSampler:
     """Samples a band's pixels in rounds of 8, 16, 32 .. samples.
 
-    shader : of colour alone, with features.sample_list; with `layers`, where surfaces blend, of all pixels instead.
+    shader : of colour alone, of all pixels. layers : adds what lies behind the surfaces that blend.
     """
 
     def __init__(
         self, device: Device, features: Features, wanted: Antialiasing, shader: Shader, max_pixels: int,
-        layers: Layers | None,
+        layers: Layers,
     ) -> None:  # fmt: skip
         shader.footprint = FOOTPRINT
         self.device, self.shader, self.layers = device, shader, layers
@@ -54,7 +53,7 @@ class AdaptiveSampler:
     @staticmethod
     def bytes_per_pixel() -> int:
         """Device bytes a pixel of a band takes here where all are listed."""
-        listed = 2 * (4 + STATE_BYTES) + 12 + 1 + Shader.bytes_per_pixel(("color",))
+        listed = 2 * (4 + STATE_BYTES) + 1 + Shader.bytes_per_pixel(("color",))
         return 4 * FIRST_SAMPLES + BYTES_PER_PIXEL + listed
 
     def resolve_band(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, target: Shader) -> None:
@@ -82,35 +81,20 @@ class AdaptiveSampler:
             values=target.values, edge_flags=self.edges.flags,
         )  # fmt: skip
         self.edges.count_flags(pixel_count)
-        count = self.edges.list_flagged(pixel_count)
-        if self.layers is None:
-            self.shader.make_room(count)
-        return count
+        return self.edges.list_flagged(pixel_count)
 
     def _add_sample(
         self, passes: SamplePasses, k: int, pixels: object, count: int, pixel_count: int, target: Shader, state: object
     ) -> None:
-        """Shade sample k of the listed pixels, and add it to their sums."""
-        position: Position = self.positions[k]
+        """Shade sample k of the band, and add it to the sums of the listed pixels."""
         plane = self.edges.planes[k % FIRST_SAMPLES]
-        if k >= FIRST_SAMPLES or self.layers is not None:
-            passes.decide((position,), (plane,))
-        view = passes.tiles.view
-        if self.layers is not None:
-            buffers.copy(self.device, plane, passes.tiles.visible_prims, 4 * pixel_count)
-            passes.timed("shade", partial(self.shader.shade, view, plane, pixel_count, 0))
-            self.layers(pixel_count, self.shader)
-        else:
-            lists = self.edges.room("shaded_prims", 4 * count), self.edges.room("places", 8 * count)
-            self._launch(
-                "list_places", count, count=count, position=position[0] | position[1] << 16, pixels=pixels,
-                visible_prims=plane, shaded_prims=lists[0], places=lists[1],
-            )  # fmt: skip
-            passes.timed("shade", partial(self.shader.shade, view, lists[0], count, 0, lists[1]))
-        self._count("samples_shaded", count if self.layers is None else pixel_count)
+        passes.decide((self.positions[k],), (plane,))
+        buffers.copy(self.device, plane, passes.tiles.visible_prims, 4 * pixel_count)
+        passes.timed("shade", partial(self.shader.shade, passes.tiles.view, plane, pixel_count, 0))
+        self.layers(pixel_count, self.shader)
+        self._count("samples_shaded", pixel_count)
         self._launch(
             "gather_sample", count, count=count, pixel_count=pixel_count, begins=int(k == 0), pixels=pixels,
-            color_stride=count if self.layers is None else pixel_count, by_pixel=int(self.layers is not None),
             colors=self.shader.values, values=target.values, state=state,
         )  # fmt: skip
 

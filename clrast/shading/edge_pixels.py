@@ -24,6 +24,10 @@ PLANE_ALIGNMENT = 1024
 BYTES_PER_PIXEL = 4 + 1 + 4
 """Device bytes a pixel of a band takes here, beside 4 for each plane and 4 in the list."""
 
+FOOTPRINT = 0.25
+"""Side of what a sample of a listed pixel stands for, pixels: that of one in 16. For the first samples finer ones than
+that are as good, and with coarser ones the error stops to fall where textures are blurred."""
+
 
 def padded(count: int) -> int:
     """Work items for so many pixels."""

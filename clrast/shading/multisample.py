@@ -39,6 +39,15 @@ def surface_distance(view: np.ndarray, projection: Projection) -> float:
     return float(np.float32(0.5 * min(x, y)))
 
 
+def ground_arguments(shader: Shader, view: np.ndarray, projection: Projection) -> dict[str, Any]:
+    """What kernels tell surfaces apart by (cl/same_surface.clh), as arguments by name."""
+    geometry = shader.geometry
+    return {
+        "view": view, "surface_distance": surface_distance(view, projection), "positions": geometry.positions,
+        "indices": geometry.indices, **shader.surfaces.named("object_ids", "material_ids"),
+    }  # fmt: skip
+
+
 class Multisampler:
     """Shares the shading of a band's samples. shader : of colour alone, with features.sample_list. rate : one of
     SHADING_RATES."""
@@ -142,12 +151,9 @@ class Multisampler:
             "sample_prims": self.edges.prims, "surfaces": room("surfaces", edge_count * len(self.wanted.pattern)),
             "new_surfaces": room("new_surfaces", edge_count),
         }  # fmt: skip
-        geometry = self.shader.geometry
         self._launch(
-            "group_samples", padded(edge_count), WORK_GROUP, view=view,
-            parts=int(parts), surface_distance=surface_distance(view, self._projection), center_prims=self.edges.center,
-            positions=geometry.positions, indices=geometry.indices,
-            **self.shader.surfaces.named("object_ids", "material_ids"), **of_samples,
+            "group_samples", padded(edge_count), WORK_GROUP, parts=int(parts), center_prims=self.edges.center,
+            **ground_arguments(self.shader, view, self._projection), **of_samples,
         )  # fmt: skip
         count = self.edges.sum_entries(room("new_surfaces"), edge_count)
         self._launch(

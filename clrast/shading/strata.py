@@ -15,16 +15,12 @@ from clrast.opencl import buffers, kernels
 from clrast.opencl.constants import LIST_CHUNK, STRATA, VISIT_SAMPLES
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
-from clrast.shading.edge_pixels import BYTES_PER_PIXEL, EdgePixels, padded
-from clrast.shading.multisample import surface_distance
+from clrast.shading.edge_pixels import BYTES_PER_PIXEL, FOOTPRINT, EdgePixels, padded
+from clrast.shading.multisample import ground_arguments
 from clrast.shading.shade import WORK_GROUP, Shader
 from clrast.visibility.listed_samples import ListedSamples
 from clrast.visibility.sample_passes import SamplePasses
 from clrast.visibility.sample_patterns import Antialiasing
-
-FOOTPRINT = 0.25
-"""Side of what a sample of a listed pixel stands for, pixels: that of one in 16. For the first samples finer ones than
-that are as good, and with coarser ones the error stops to fall where textures are blurred."""
 
 SHADED_SHARE = 4
 """Of so many samples whose visibility is known one is shaded where its surface is open."""
@@ -129,15 +125,6 @@ class StratifiedSampler:
             self.edges.room(name, size * count)
         return count
 
-    def _ground(self, view: np.ndarray) -> dict[str, Any]:
-        """What surfaces are told apart by."""
-        geometry = self.shader.geometry
-        return {
-            "view": view, "surface_distance": surface_distance(view, self._projection),
-            "positions": geometry.positions, "indices": geometry.indices,
-            **self.shader.surfaces.named("object_ids", "material_ids"),
-        }  # fmt: skip
-
     def _visit(
         self, passes: SamplePasses, visit: int, is_new: bool, shaded: int, begins: bool, pixel_count: int,
         target: Shader,
@@ -206,6 +193,9 @@ class StratifiedSampler:
         )  # fmt: skip
         self.own_launches += 1
         return others, kept
+
+    def _ground(self, view: np.ndarray) -> dict[str, Any]:
+        return ground_arguments(self.shader, view, self._projection)
 
     def _rooms(self, *names: str) -> dict[str, Any]:
         return {name: self.edges.room(name) for name in names}

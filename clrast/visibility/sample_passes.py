@@ -19,16 +19,20 @@ Timed = Callable[[str, Callable[[], Any]], Any]
 
 
 class SamplePasses:
-    """Passes over bands. timed : runs work and books its time on a stage. 
+    """Passes over bands. timed : runs work and books its time on a stage.
 
-    `count` : passes since it was set to 0; `visits` and `listed` : passes over listed pixels alone,
-    and the samples that these decided.
+    Since `start_frame`, `count` : passes; `visits` and `listed` : passes over listed pixels alone, and the samples that
+    these decided.
     """
 
     def __init__(self, tiles: TileRasterizer | FrustumTraversal, timed: Timed) -> None:
         self.tiles, self.timed = tiles, timed
-        self.count = self.visits = self.listed = 0
+        self.start_frame()
         self._is_centered = False
+
+    def start_frame(self) -> None:
+        """Count from 0 on."""
+        self.count = self.visits = self.listed = 0
 
     def set_up(self, positions: Sequence[Position]) -> None:
         """Find the triangles' bounds, which then hold for samples at each of these positions, 256ths of a pixel."""
