@@ -2,42 +2,63 @@
 //
 // The estimates are those of stratify_samples.cl, which says what a stratum is and what is kept of it.
 //   gather_strata: colours of shaded samples, less the centre's, summed by stratum, and their squares
-//   estimate_errors, judge_strata: which pixels and strata call for more
-//   keep_strata: the list of these; the others' colours
+//   estimate_errors, judge_strata: which pixels and strata call for more; the others' colours
+//   keep_strata: the list of those
 // Good at: lists of any length. Bad at: nothing known. Tests: tests/test_antialiasing.py.
 
 #include "color_planes.clh"
 
 #pragma OPENCL FP_CONTRACT OFF
 
-// Reads: colors (shade_hits), values (shade_hits, at the centres). Writes: sums (for estimate_errors).
-// Work item: one listed pixel. Local memory: 0 bytes.
+// What is summed of a stratum: colours less the centre's, then their squares.
+#define SUM_OF(stratum) (2 * (stratum))
+#define SQUARES_OF(stratum) (2 * (stratum) + 1)
+
+// Reads: chosen, stratum_counts (meet_strata), colors (shade_hits), values (shade_hits, at the centres). Writes: sums (for
+// estimate_errors). Work item: one listed pixel. Local memory: 0 bytes.
 kernel void gather_strata(
     uint count,
-    uint pixel_count,                        // of the band
-    uint listed_count,                       // samples that were shaded
-    uint begins,                             // 1: nothing was summed before
-    global const uint *restrict pixels,      // [count]
-    global const uint *restrict slots,       // [count]
-    global const uint2 *restrict chosen,     // [count]
-    global const uint *restrict first_shaded, // [count]
-    global const float *restrict colors,     // [4 * listed_count] R G B A
-    global const float *restrict values,     // [4 * pixel_count] at the centres
-    global float4 *restrict sums)            // [slots * 2 * STRATA] in and out: of colours less the centre's, of squares
+    uint pixel_count,                            // of the band
+    uint listed_count,                           // samples that were shaded
+    uint visit_count,                            // of which they are
+    global const uint *restrict pixels,          // [count]
+    global const uint *restrict slots,           // [count]
+    global const uint2 *restrict chosen,         // [count * visit_count]
+    global const uint *restrict stratum_counts,  // [slots * STRATA] these samples included
+    global const uint *restrict first_shaded,    // [count]
+    global const float *restrict colors,         // [4 * listed_count] R G B A
+    global const float *restrict values,         // [4 * pixel_count] at the centres
+    global float4 *restrict sums)                // [slots * 2 * STRATA] in and out
 {
   const uint item = get_global_id(0);
   if (item >= count) return;
-  global float4 *own = sums + 2 * STRATA * (size_t)slots[item];
-  if (begins)
-    for (uint k = 0; k < 2 * STRATA; ++k) own[k] = (float4)(0.0f);
+  const size_t slot = slots[item];
   const float4 center = load_color(values, pixel_count, pixels[item]);
   uint position = first_shaded[item];
-  for (uint k = 0; k < VISIT_SAMPLES; ++k) {
-    if (!(chosen[item].x >> k & 1)) continue;
-    const uint stratum = chosen[item].y >> 2 * k & 3;
-    const float4 d = load_color(colors, listed_count, position++) - center;
-    own[stratum] += d;
-    own[STRATA + stratum] += d * d;
+  float4 sum[STRATA], squares[STRATA];
+  uint found[STRATA];
+  for (uint k = 0; k < STRATA; ++k) {
+    sum[k] = squares[k] = (float4)(0.0f);
+    found[k] = 0;
+  }
+  for (uint visit = 0; visit < visit_count; ++visit) {
+    const uint2 own = chosen[item * (size_t)visit_count + visit];
+    for (uint mask = own.x; mask != 0; mask &= mask - 1) {
+      const uint stratum = own.y >> 2 * (31 - clz(mask & (0 - mask))) & 3;
+      const float4 d = load_color(colors, listed_count, position++) - center;
+      sum[stratum] += d;
+      squares[stratum] += d * d;
+      found[stratum] += 1;
+    }
+  }
+  for (uint k = 0; k < STRATA; ++k) {
+    if (found[k] == 0) continue;
+    if (stratum_counts[STRATA * slot + k] >> 16 != found[k]) {
+      sum[k] += sums[2 * STRATA * slot + SUM_OF(k)];
+      squares[k] += sums[2 * STRATA * slot + SQUARES_OF(k)];
+    }
+    sums[2 * STRATA * slot + SUM_OF(k)] = sum[k];
+    sums[2 * STRATA * slot + SQUARES_OF(k)] = squares[k];
   }
 }
 
@@ -59,8 +80,8 @@ kernel void estimate_errors(
   for (uint k = 0; k < STRATA; ++k) {
     const uint shaded = stratum_counts[STRATA * slot + k] >> 16;
     if (shaded < 2) continue;
-    const float4 sum = sums[2 * STRATA * slot + k];
-    squares += sums[2 * STRATA * slot + STRATA + k] - sum * (sum / (float)shaded);
+    const float4 sum = sums[2 * STRATA * slot + SUM_OF(k)];
+    squares += sums[2 * STRATA * slot + SQUARES_OF(k)] - sum * (sum / (float)shaded);
     freedom += (float)(shaded - 1);
   }
   deviations[pixels[item]] = freedom > 0.0f ? max(largest_channel(squares), 0.0f) / freedom : 0.0f;
@@ -81,7 +102,8 @@ static inline float quad_variance(uint pixel, uint pixel_count, uint width, glob
   return sum / listed;
 }
 
-// Reads: stratum_counts, sums, deviations (estimate_errors). Writes: keep (for keep_strata), open (for meet_strata).
+// Reads: stratum_counts, sums, deviations (estimate_errors). Writes: keep (for keep_strata), open (for meet_strata), values
+// of the pixels that are done (host).
 // Work item: one listed pixel. Local memory: 0 bytes.
 kernel void judge_strata(
     uint count,
@@ -96,7 +118,8 @@ kernel void judge_strata(
     global const float4 *restrict sums,          // [slots * 2 * STRATA]
     global const float *restrict deviations,     // [pixel_count] negative where a pixel is not listed
     global uchar *restrict open,                 // [slots]
-    global uchar *restrict keep)                 // [count] 1 where more samples are called for
+    global uchar *restrict keep,                 // [count] 1 where more samples are called for
+    global float *restrict values)               // [4 * pixel_count] in: at the centres; out: of pixels that are done
 {
   const uint item = get_global_id(0);
   if (item >= count) return;
@@ -108,12 +131,12 @@ kernel void judge_strata(
     const uint both = stratum_counts[STRATA * slot + k], shaded = both >> 16;
     if (!shaded) continue;
     const float share = (float)(both & 0xffffu) / sample_count, n = (float)shaded;
-    const float4 sum = sums[2 * STRATA * slot + k], own_mean = sum / n;
+    const float4 sum = sums[2 * STRATA * slot + SUM_OF(k)], own_mean = sum / n;
     mean += own_mean * share;
     squares += own_mean * own_mean * share;
     float variance = around;
     if (shaded > 1) {
-      const float4 own = sums[2 * STRATA * slot + STRATA + k] - sum * own_mean;
+      const float4 own = sums[2 * STRATA * slot + SQUARES_OF(k)] - sum * own_mean;
       variance = 0.5f * (max(largest_channel(own), 0.0f) / (n - 1.0f) + around);
     }
     const float root = sqrt(n), slowly = root * sqrt(root);
@@ -121,43 +144,31 @@ kernel void judge_strata(
   }
   const float between = max(largest_channel(squares - mean * mean), 0.0f);
   open[slot] = open_strata;
-  keep[item] = open_strata != 0 || sqrt(between) * error_factor > threshold;
+  const bool goes_on = open_strata != 0 || sqrt(between) * error_factor > threshold;
+  keep[item] = goes_on;
+  if (goes_on) return;
+  store_color(values, pixel_count, pixels[item], load_color(values, pixel_count, pixels[item]) + mean);
 }
 
-// Reads: keep (judge_strata), begins (list_samples.cl). Writes: kept_pixels, kept_slots and pixel_places (the list that is
-// sampled further), values (host). Work item: LIST_CHUNK listed pixels. Local memory: 0 bytes.
+// Reads: keep (judge_strata), begins (list_samples.cl). Writes: kept_pixels, kept_slots and pixel_places: the list that is
+// sampled further. Work item: LIST_CHUNK listed pixels. Local memory: 0 bytes.
 kernel void keep_strata(
     uint count,
-    uint pixel_count,
-    float sample_count,
-    global const uchar *restrict keep,           // [count]
-    global const uint *restrict begins,          // [chunks + 1]
-    global const uint *restrict pixels,          // [count]
-    global const uint *restrict slots,           // [count]
-    global const uint *restrict stratum_counts,  // [slots * STRATA]
-    global const float4 *restrict sums,          // [slots * 2 * STRATA]
-    global uint *restrict kept_pixels,           // [kept]
-    global uint *restrict kept_slots,            // [kept]
-    global uint *restrict pixel_places,          // [pixel_count] a pixel's place in the list, or NO_HIT
-    global float *restrict values)               // [4 * pixel_count] in: at the centres; out: of pixels that are done
+    global const uchar *restrict keep,   // [count]
+    global const uint *restrict begins,  // [chunks + 1]
+    global const uint *restrict pixels,  // [count]
+    global const uint *restrict slots,   // [count]
+    global uint *restrict kept_pixels,   // [kept]
+    global uint *restrict kept_slots,    // [kept]
+    global uint *restrict pixel_places)  // [pixel_count] a pixel's place in the list, or NO_HIT
 {
   const uint begin = get_global_id(0) * LIST_CHUNK;
   if (begin >= count) return;
   uint position = begins[begin / LIST_CHUNK];
   for (uint item = begin; item < min(begin + LIST_CHUNK, count); ++item) {
-    const uint pixel = pixels[item];
-    const size_t slot = slots[item];
-    pixel_places[pixel] = keep[item] ? position : NO_HIT;
-    if (keep[item]) {
-      kept_pixels[position] = pixel;
-      kept_slots[position++] = slot;
-      continue;
-    }
-    float4 color = load_color(values, pixel_count, pixel);
-    for (uint k = 0; k < STRATA; ++k) {
-      const uint both = stratum_counts[STRATA * slot + k];
-      if (both) color += sums[2 * STRATA * slot + k] / (float)(both >> 16) * ((float)(both & 0xffffu) / sample_count);
-    }
-    store_color(values, pixel_count, pixel, color);
+    pixel_places[pixels[item]] = keep[item] ? position : NO_HIT;
+    if (!keep[item]) continue;
+    kept_pixels[position] = pixels[item];
+    kept_slots[position++] = slots[item];
   }
 }

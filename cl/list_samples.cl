@@ -107,12 +107,13 @@ kernel void count_flags(
 kernel void take_samples(
     uint count,                                 // of listed pixels
     uint everywhere,                            // 1: all pixels of the band are listed
-    uint sample,                                // which of VISIT_SAMPLES
+    uint sample,                                // which of a pixel's
+    uint stride,                                // entries from one listed pixel to the next
     global const uint *restrict pixels,         // [count]
     global const uint *restrict visible_prims,  // [pixel_count] at the sample
-    global uint *restrict sample_prims)         // [count * VISIT_SAMPLES]
+    global uint *restrict sample_prims)         // [count * stride]
 {
   const uint begin = get_global_id(0) * LIST_CHUNK;
   for (uint item = begin; item < min(begin + LIST_CHUNK, count); ++item)
-    sample_prims[(size_t)item * VISIT_SAMPLES + sample] = visible_prims[everywhere ? item : pixels[item]];
+    sample_prims[(size_t)item * stride + sample] = visible_prims[everywhere ? item : pixels[item]];
 }

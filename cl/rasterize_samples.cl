@@ -1,12 +1,16 @@
 // Decides several samples of each pixel of a list at once: a lane is a sample of one pixel.
 //
-// Where antialiasing wants many samples of few pixels: triangles are set up once for VECTOR_WIDTH samples, and pixels that
-// are not listed, and what lies before them alone, cost nothing. Samples are decided by the expressions of rasterize_tiles.cl
-// (sample_blocks.clh), so that they come out the same bit for bit. Davidovic et al., '3D Rasterization', section 4.
+// Where antialiasing wants many samples of few pixels: triangles are set up once for all samples of a launch, up to
+// LANE_GROUPS * VECTOR_WIDTH, and pixels that are not listed, and what lies before them alone, cost nothing. Samples are
+// decided by the expressions of rasterize_tiles.cl (sample_blocks.clh), so that they come out the same bit for bit.
+// Davidovic et al., '3D Rasterization', section 4.
 //   for each square of 16 x 16 pixels of a tile that has a listed pixel:
-//     references whose bound holds a listed pixel are gathered, in their order, VECTOR_WIDTH at a time:
-//       set their triangles up; for each of them, for each listed pixel in its bound: all lanes' samples
-// A pixel that is not listed is as near as infinity: the culling by nearness leaves it out.
+//     references whose bound holds a listed pixel are gathered, VECTOR_WIDTH at a time, and those that no listed pixel's
+//     centre shows wait until the others are done, which nearly always hide them:
+//       set their triangles up
+//       for each group of VECTOR_WIDTH samples, each triangle, each listed pixel in its bound: all lanes' samples
+// A pixel that is not listed is as near as infinity: the culling by nearness leaves it out. No order decides a sample: where
+// two triangles are as near, the id does.
 // Good at: lists of any length. Bad at: nothing known. Tests: tests/test_sample_lanes.py.
 
 #define SAMPLE_LANES 1
@@ -22,29 +26,40 @@
 #if ALPHA_MASK
 #include "surface.clh"
 #endif
-#define LISTS_IN_ORDER 1
 #include "triangle_batch.clh"
 #include "sample_blocks.clh"
 
 #if !FILTERED  // rungs that filter take passes over all pixels: listed_samples.py
 
-#define REFRESH_BATCHES 4  // between updates of the culling bounds
+#define REFRESH_BATCHES 4    // between updates of the culling bounds
+#define WAITING_CAPACITY 256  // references that wait; where there are more, some do not
+#define SHOWN_BITS 1024       // of the set of what centres show, by the lowest bits of an id
 #define TILE_SQUARES (1 << (TILE_LOG2 - SQUARE_LOG2))
 
-// One square: its first pixel in the tile, and which of its pixels are listed, a bit each, row by row.
-typedef struct { int left, top; ushort rows[TILE_SIZE]; } Square;
-
-// References whose bounds in the square hold a listed pixel; VECTOR_WIDTH of them and what one more step may add.
+// One square: its first pixel in the tile, and which of its pixels are listed: a bit each, row by row, and their numbers.
 typedef struct {
-  uint prim_id[2 * VECTOR_WIDTH];
-  int bounds[2 * VECTOR_WIDTH];  // in the square: x0 | y0 << 8 | x1 << 16 | y1 << 24
+  int left, top;
+  ushort rows[TILE_SIZE];
+  uint count;
+  uchar blocks[TILE_BLOCKS];
+  uint shown[SHOWN_BITS / 32];  // a bit for each triangle that a listed pixel's centre shows, and some others
+} Square;
+
+// Where the lanes of a group lie in the square's first pixel, see TileFrame.
+typedef struct { float_v x, y; float left, top, right, bottom; } Lanes;
+
+// References whose bounds in the square hold a listed pixel, and room for what one more step may add.
+typedef struct {
+  uint prim_id[WAITING_CAPACITY + 2 * VECTOR_WIDTH];
+  int bounds[WAITING_CAPACITY + 2 * VECTOR_WIDTH];  // in the square: x0 | y0 << 8 | x1 << 16 | y1 << 24
   uint count;
 } Gathered;
 
-// Looks for the square's listed pixels, and sets what is found there to nothing; false where there are none.
-INLINE bool start_square(View view, int left, int top, Square *square, TileSamples *samples, uint everywhere,
-                         global const uint *restrict places) {
-  bool any = false;
+// Looks for the square's listed pixels.
+INLINE void list_blocks(View view, int left, int top, Square *square, uint everywhere, global const uint *restrict places,
+                        global const uint *restrict center_prims) {
+  square->count = 0;
+  for (uint k = 0; k < SHOWN_BITS / 32; ++k) square->shown[k] = 0;
   for (uint row = 0; row < TILE_SIZE; ++row) {
     uint bits = 0;
     const uint y = top + square->top + row, x0 = left + square->left;
@@ -53,24 +68,66 @@ INLINE bool start_square(View view, int left, int top, Square *square, TileSampl
       for (uint column = 0; column < TILE_SIZE && x0 + column < view.width; ++column)
         if (everywhere || places[first + column] != NO_HIT) bits |= 1u << column;
     square->rows[row] = bits;
-    any |= bits != 0;
-    for (uint column = 0; column < TILE_SIZE; ++column) {
-      const uint block = row * TILE_SIZE + column;
-      const float nothing = bits >> column & 1 ? NEARNESS_OF_NOTHING : INFINITY;
-      samples->nearness[block] = nothing;
-      samples->lowest[block] = nothing;
-      samples->visible[block] = NO_HIT;
-#if COUNTERS
-      samples->evaluations[block] = 0;
-      samples->setups[block] = samples->steps[block] = 0;
-#endif
+    for (; bits != 0; bits &= bits - 1) {
+      const uint column = 31 - clz(bits & (0 - bits)), shown = center_prims[first + column] % SHOWN_BITS;
+      square->blocks[square->count++] = row * TILE_SIZE + column;
+      square->shown[shown / 32] |= 1u << shown % 32;
     }
   }
-  return any;
 }
 
-// Adds those of VECTOR_WIDTH references from `first` on that meet a listed pixel.
-INLINE void gather_references(const Square *square, uint first, uint end, Gathered *gathered,
+// Sets what is found at the square's listed pixels to nothing, and the others to as near as infinity.
+INLINE void start_samples(const Square *square, TileSamples *samples) {
+  for (uint block = 0; block < TILE_BLOCKS; ++block) samples->lowest[block] = INFINITY;
+#if COUNTERS
+  for (uint block = 0; block < TILE_BLOCKS; ++block) {
+    samples->evaluations[block] = 0;
+    samples->setups[block] = samples->steps[block] = 0;
+  }
+#endif
+  for (uint k = 0; k < square->count; ++k) {
+    const uint block = square->blocks[k];
+    samples->nearness[block] = NEARNESS_OF_NOTHING;
+    samples->lowest[block] = NEARNESS_OF_NOTHING;
+    samples->visible[block] = NO_HIT;
+  }
+}
+
+// Recomputes the culling bounds of the listed pixels and returns the lowest.
+INLINE float refresh_listed(const Square *square, uint group_count, TileSamples *samples) {
+  float_v lowest = INFINITY;
+  for (uint group = 0; group < group_count; ++group)
+    for (uint k = 0; k < square->count; ++k) {
+      const uint block = square->blocks[k];
+      samples[group].lowest[block] = LOWEST_V(samples[group].nearness[block]);
+      lowest = min(lowest, samples[group].nearness[block]);
+    }
+  return LOWEST_V(lowest);
+}
+
+INLINE Lanes place_lanes(View view, int left, int top, float_v sample_x, float_v sample_y) {
+  Lanes lanes;
+  lanes.x = (float)left + (sample_x - view.center_x);
+  lanes.y = (float)top + (sample_y - view.center_y);
+  lanes.left = LOWEST_V(lanes.x);
+  lanes.top = LOWEST_V(lanes.y);
+  lanes.right = -LOWEST_V(-lanes.x);
+  lanes.bottom = -LOWEST_V(-lanes.y);
+  return lanes;
+}
+
+INLINE void take_lanes(TileFrame *frame, const Lanes *lanes) {
+  frame->x = lanes->x;
+  frame->y = lanes->y;
+  frame->left = lanes->left;
+  frame->top = lanes->top;
+  frame->right = lanes->right;
+  frame->bottom = lanes->bottom;
+}
+
+// Adds those of VECTOR_WIDTH references from `first` on that meet a listed pixel to those of triangles that centres show, or
+// to those that wait.
+INLINE void gather_references(const Square *square, uint first, uint end, Gathered *shown, Gathered *waiting,
                               global const uint *restrict reference_prims, global const uint *restrict reference_bounds) {
   const int_v bounds = AS_INT_V(LOAD_V(reference_bounds + first));
   const int_v x0 = clamp((bounds & 0xff) - square->left, 0, TILE_SIZE), x1 = clamp((bounds >> 16 & 0xff) - square->left, 0, TILE_SIZE);
@@ -82,64 +139,64 @@ INLINE void gather_references(const Square *square, uint first, uint end, Gather
   int found[VECTOR_WIDTH], packed[VECTOR_WIDTH];
   STORE_V((held != 0) & (LANES < (int)(end - first)), found);
   STORE_V(x0 | y0 << 8 | x1 << 16 | y1 << 24, packed);
-  uint count = gathered->count;
   for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
-    gathered->prim_id[count] = reference_prims[first + lane];
-    gathered->bounds[count] = packed[lane];
-    count += found[lane] != 0;
+    if (!found[lane]) continue;
+    const uint prim_id = reference_prims[first + lane], bit = prim_id % SHOWN_BITS;
+    Gathered *gathered = square->shown[bit / 32] >> bit % 32 & 1 ? shown : waiting;
+    gathered->prim_id[gathered->count] = prim_id;
+    gathered->bounds[gathered->count++] = packed[lane];
   }
-  gathered->count = count;
 }
 
-// Sets the first VECTOR_WIDTH gathered triangles up and decides their samples; the rest of the list moves up.
-INLINE void decide_gathered(View view, const TileFrame *frame, float lowest, Gathered *gathered, TileSamples *samples,
-                            global const float4 *restrict corners) {
+// Sets the last VECTOR_WIDTH gathered triangles up and decides their samples.
+// lanes : of each group, and behind them what bounds those of all.
+INLINE void decide_gathered(View view, TileFrame *frame, float lowest, Gathered *gathered, uint group_count,
+                            const Lanes *lanes, TileSamples *samples, global const float4 *restrict corners) {
   const uint count = min(gathered->count, (uint)VECTOR_WIDTH);
+  gathered->count -= count;
+  const uint first = gathered->count;
   Batch batch;
 #pragma unroll
-  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) batch.prim_id[lane] = gathered->prim_id[min(lane, count - 1)];
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) batch.prim_id[lane] = gathered->prim_id[first + min(lane, count - 1)];
   const Triangles triangles = gather_triangles(corners, batch.prim_id);
 #if ALPHA_MASK
   find_masked(&batch, frame, triangles, view);
 #endif
-  const int_v bounds = LOAD_V(gathered->bounds);
+  const int_v bounds = LOAD_V(gathered->bounds + first);
+  take_lanes(frame, lanes + group_count);
   fill_batch(&batch, setup_triangles_at(triangles, view), frame, bounds & 0xff, bounds >> 8 & 0xff, bounds >> 16 & 0xff,
              bounds >> 24 & 0xff, LANES < (int)count, lowest);
 #if COUNTERS
   count_batch(&batch, LANES < (int)count, samples);
 #endif
-  rasterize_batch(&batch, frame, samples);
-  gathered->count -= count;
-  for (uint k = 0; k < gathered->count; ++k) {
-    gathered->prim_id[k] = gathered->prim_id[count + k];
-    gathered->bounds[k] = gathered->bounds[count + k];
+  for (uint group = 0; group < group_count; ++group) {
+    take_lanes(frame, lanes + group);
+    rasterize_batch(&batch, frame, samples + group);
   }
 }
 
 // Writes what was found at the listed pixels.
 INLINE void store_square(View view, int left, int top, const Square *square, const TileSamples *samples, uint everywhere,
                          uint stride, uint first_entry, global const uint *restrict places, global uint *restrict sample_prims) {
-  for (uint row = 0; row < TILE_SIZE; ++row)
-    for (uint column = 0; column < TILE_SIZE; ++column) {
-      if (!(square->rows[row] >> column & 1)) continue;
-      const size_t pixel = (size_t)(top + square->top + row - (view.band_row << TILE_LOG2)) * view.width + left + square->left + column;
-      STORE_V(samples->visible[row * TILE_SIZE + column], sample_prims + (size_t)(everywhere ? pixel : places[pixel]) * stride + first_entry);
-    }
+  for (uint k = 0; k < square->count; ++k) {
+    const uint block = square->blocks[k], row = block / TILE_SIZE, column = block % TILE_SIZE;
+    const size_t pixel = (size_t)(top + square->top + row - (view.band_row << TILE_LOG2)) * view.width + left + square->left + column;
+    STORE_V(samples->visible[block], sample_prims + (size_t)(everywhere ? pixel : places[pixel]) * stride + first_entry);
+  }
 }
 
 #if COUNTERS
 // Adds what the samples of the square's pixels cost to their pixels.
 INLINE void add_costs(View view, int left, int top, const Square *square, const TileSamples *samples, uint pixel_count,
                       global uint *restrict cost) {
-  for (uint row = 0; row < TILE_SIZE; ++row)
-    for (uint column = 0; column < TILE_SIZE; ++column) {
-      if (!(square->rows[row] >> column & 1)) continue;
-      const size_t pixel = (size_t)(top + square->top + row - (view.band_row << TILE_LOG2)) * view.width + left + square->left + column;
-      uint evaluations[VECTOR_WIDTH];
-      STORE_V(samples->evaluations[row * TILE_SIZE + column], evaluations);
-      for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) cost[pixel] += evaluations[lane];
-      cost[(size_t)pixel_count + pixel] += samples->setups[row * TILE_SIZE + column];
-    }
+  for (uint k = 0; k < square->count; ++k) {
+    const uint block = square->blocks[k], row = block / TILE_SIZE, column = block % TILE_SIZE;
+    const size_t pixel = (size_t)(top + square->top + row - (view.band_row << TILE_LOG2)) * view.width + left + square->left + column;
+    uint evaluations[VECTOR_WIDTH];
+    STORE_V(samples->evaluations[block], evaluations);
+    for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) cost[pixel] += evaluations[lane];
+    cost[(size_t)pixel_count + pixel] += samples->setups[block];
+  }
 }
 #endif
 
@@ -152,6 +209,7 @@ kernel void rasterize_samples(
     uint everywhere,                             // 1: all pixels are listed, each in its own place
     uint stride,                                 // entries from one listed pixel to the next
     uint first_entry,                            // where these samples begin among a pixel's
+    uint group_count,                            // of VECTOR_WIDTH samples each, at most LANE_GROUPS
 #if ALPHA_MASK
     global const uint *restrict indices,         // [3 * triangle_count] vertices of the attributes
     global const uint *restrict material_ids,    // [triangle_count]
@@ -163,25 +221,25 @@ kernel void rasterize_samples(
     global const float2 *restrict uv1,           // [vertex_count]
     global const float4 *restrict colors,        // [vertex_count] linear
 #endif
-    global const float *restrict sample_x,       // [VECTOR_WIDTH] where in its pixel a lane's sample lies, pixels
-    global const float *restrict sample_y,       // [VECTOR_WIDTH]
+    global const float *restrict sample_x,       // [group_count * VECTOR_WIDTH] where in its pixel a sample lies, pixels
+    global const float *restrict sample_y,       // [group_count * VECTOR_WIDTH]
     global const float4 *restrict corners,       // [3 * triangle_count] canonical corners and normals
     global const uint *restrict tile_begin,      // [tile_count + 1] first reference of each tile
     global const uint *restrict reference_prims,   // [padded reference_capacity] prim_id
     global const uint *restrict reference_bounds,  // [padded reference_capacity] bound within the tile
     global const uint *restrict places,          // [band height * width] a pixel's place in the list, or NO_HIT
+    global const uint *restrict center_prims,    // [band height * width] prim_id or NO_HIT, or whatever: a guess
 #if COUNTERS
     uint pixel_count,                            // of the band
     global ulong *restrict work,                 // [tile_count * WORK_COUNTER_COUNT] added to
     global uint *restrict cost,                  // [3 * pixel_count] evaluations, setups, steps, added to
 #endif
-    global uint *restrict sample_prims)          // [listed * stride] prim_id or NO_HIT of VECTOR_WIDTH samples
+    global uint *restrict sample_prims)          // [listed * stride] prim_id or NO_HIT of the samples
 {
   const uint tile = get_global_id(0);
   if (tile >= tile_count) return;
   const int left = tile % view.tile_columns << TILE_LOG2, top = (tile / view.tile_columns + view.band_row) << TILE_LOG2;
   const uint begin = tile_begin[tile], end = min(tile_begin[tile + 1], reference_capacity);
-  const float_v lane_x = LOAD_V(sample_x), lane_y = LOAD_V(sample_y);
   TileFrame frame;
 #if ALPHA_MASK
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
@@ -191,41 +249,53 @@ kernel void rasterize_samples(
   frame.column = frame.row = 0;
   frame.center_x = view.center_x;
   frame.center_y = view.center_y;
-  TileSamples samples;
+  TileSamples samples[LANE_GROUPS];
 #if COUNTERS
   const Work none = {0, 0, 0, 0, 0, 0, 0, 0, 0};
-  samples.work = none;
+  for (uint group = 0; group < group_count; ++group) samples[group].work = none;
 #endif
   for (uint k = 0; k < TILE_SQUARES * TILE_SQUARES; ++k) {
     Square square;
     square.left = k % TILE_SQUARES << SQUARE_LOG2;
     square.top = k / TILE_SQUARES << SQUARE_LOG2;
-    if (!start_square(view, left, top, &square, &samples, everywhere, places)) continue;
-    frame.x = (float)(left + square.left) + (lane_x - view.center_x);
-    frame.y = (float)(top + square.top) + (lane_y - view.center_y);
-    frame.left = LOWEST_V(frame.x);
-    frame.top = LOWEST_V(frame.y);
-    frame.right = -LOWEST_V(-frame.x);
-    frame.bottom = -LOWEST_V(-frame.y);
-    float lowest = NEARNESS_OF_NOTHING;
-    Gathered gathered;
-    gathered.count = 0;
-    uint batches = 0;
-    for (uint first = begin; first < end; first += VECTOR_WIDTH) {
-      gather_references(&square, first, end, &gathered, reference_prims, reference_bounds);
-      if (gathered.count < VECTOR_WIDTH && first + VECTOR_WIDTH < end) continue;
-      while (gathered.count >= VECTOR_WIDTH || (gathered.count != 0 && first + VECTOR_WIDTH >= end)) {
-        if (++batches % REFRESH_BATCHES == 0) lowest = refresh_lowest(&samples);
-        decide_gathered(view, &frame, lowest, &gathered, &samples, corners);
-      }
+    list_blocks(view, left, top, &square, everywhere, places, center_prims);
+    if (square.count == 0) continue;
+    Lanes lanes[LANE_GROUPS + 1], all = {0.0f, 0.0f, INFINITY, INFINITY, -INFINITY, -INFINITY};
+    for (uint group = 0; group < group_count; ++group) {
+      const Lanes own = place_lanes(view, left + square.left, top + square.top, LOAD_V(sample_x + group * VECTOR_WIDTH),
+                                    LOAD_V(sample_y + group * VECTOR_WIDTH));
+      lanes[group] = own;
+      all.left = min(all.left, own.left);
+      all.top = min(all.top, own.top);
+      all.right = max(all.right, own.right);
+      all.bottom = max(all.bottom, own.bottom);
+      start_samples(&square, samples + group);
     }
-    store_square(view, left, top, &square, &samples, everywhere, stride, first_entry, places, sample_prims);
+    lanes[group_count] = all;
+    float lowest = NEARNESS_OF_NOTHING;
+    Gathered shown, waiting;
+    shown.count = waiting.count = 0;
+    uint batches = 0;
+    bool has_waited = false;
+    for (uint first = begin; first < end || shown.count + waiting.count != 0; first += VECTOR_WIDTH) {
+      const bool is_read = first >= end;
+      if (!is_read) gather_references(&square, first, end, &shown, &waiting, reference_prims, reference_bounds);
+      Gathered *next = shown.count >= (is_read ? 1 : VECTOR_WIDTH) ? &shown : &waiting;
+      if (next == &waiting && !is_read && waiting.count < WAITING_CAPACITY) continue;
+      if (++batches % REFRESH_BATCHES == 0 || (next == &waiting && !has_waited))
+        lowest = refresh_listed(&square, group_count, samples);
+      has_waited = next == &waiting;
+      decide_gathered(view, &frame, lowest, next, group_count, lanes, samples, corners);
+    }
+    for (uint group = 0; group < group_count; ++group) {
+      store_square(view, left, top, &square, samples + group, everywhere, stride, first_entry + group * VECTOR_WIDTH, places, sample_prims);
 #if COUNTERS
-    add_costs(view, left, top, &square, &samples, pixel_count, cost);
+      add_costs(view, left, top, &square, samples + group, pixel_count, cost);
 #endif
+    }
   }
 #if COUNTERS
-  add_work(&samples.work, tile, work);
+  for (uint group = 0; group < group_count; ++group) add_work(&samples[group].work, tile, work);
 #endif
 }
 

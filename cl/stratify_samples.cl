@@ -20,6 +20,7 @@
 #include "edge_function.clh"
 #include "same_surface.clh"
 
+#define FIRST_VISIT NO_HIT  // in place of a first entry: the samples that all pixels were looked at
 #define MEMORY 4  // triangles beside the first of their surfaces that a pixel remembers
 
 // What is known of a listed pixel's strata: the triangle that each was first seen by, samples that show it, of these shaded.
@@ -47,6 +48,15 @@ static inline bool shows_same(const Ground *g, uint a, uint b, float x, float y)
   return is_same_surface(g, &first, &second, x, y);
 }
 
+// Whether all samples of a visit show one triangle.
+static inline bool shows_one(global const uint *samples, uint prim_id) {
+  const uint16 found = vload16(0, samples);
+  const int16 differs = found != prim_id;
+  const int8 eight = differs.lo | differs.hi;
+  const int4 four = eight.lo | eight.hi;
+  return !any(four);
+}
+
 // Reads: center_prims, sample_prims (rasterize_samples). Writes: edge_flags (for flag_contrast). Work item: one pixel.
 // Local memory: 0 bytes.
 kernel void flag_surfaces(
@@ -63,10 +73,12 @@ kernel void flag_surfaces(
 {
   const uint pixel = get_global_id(0);
   if (pixel >= pixel_count) return;
+  const uint center = center_prims[pixel];
+  edge_flags[pixel] = 0;
+  if (shows_one(sample_prims + (size_t)pixel * VISIT_SAMPLES, center)) return;
   const Ground g = {view, surface_distance, positions, indices, object_ids, material_ids};
   const float x = (float)(pixel % view.width) - view.center_x + 0.5f;
   const float y = (float)(pixel / view.width + (view.band_row << TILE_LOG2)) - view.center_y + 0.5f;
-  const uint center = center_prims[pixel];
   uint known = center;
   bool differs = false;
   for (uint k = 0; k < VISIT_SAMPLES && !differs; ++k) {
@@ -75,7 +87,7 @@ kernel void flag_surfaces(
     differs = !shows_same(&g, center, prim_id, x, y);
     known = prim_id;
   }
-  edge_flags[pixel] = differs ? 255 : 0;
+  if (differs) edge_flags[pixel] = 255;
 }
 
 // The stratum of a triangle that a sample at (X, Y) shows; a new one where it is part of none and there is room.
@@ -106,28 +118,38 @@ static inline uint find_stratum(const Ground *g, Strata *s, uint prim_id, float 
   return stratum;
 }
 
-// Reads: pixels, slots (list_edge_pixels, keep_strata), sample_prims (rasterize_samples). Writes: stratum_prims,
-// stratum_counts, chosen, chosen_counts (for list_chosen). Work item: one listed pixel. Local memory: 0 bytes.
+// Where the samples of a visit stand, of one pixel.
+static inline global const uint *visit_samples(uint4 visit, uint pixel, uint item, uint stride,
+                                               global const uint *first_prims, global const uint *later_prims) {
+  if (visit.x == FIRST_VISIT) return first_prims + (size_t)pixel * VISIT_SAMPLES;
+  return later_prims + (size_t)item * stride + visit.x;
+}
+
+// Reads: pixels, slots (list_edge_pixels, keep_strata), first_prims, later_prims (rasterize_samples). Writes:
+// stratum_prims, stratum_counts, chosen, chosen_counts (for list_chosen). Work item: one listed pixel.
+// Local memory: 0 bytes.
 kernel void meet_strata(
     View view,
     uint count,                                   // of listed pixels
     float surface_distance,
-    uint by_pixel,                                // 1: sample_prims are those of all pixels, 0: of the list
+    uint visit_count,                             // of VISIT_SAMPLES samples each
+    uint stride,                                  // entries from one listed pixel to the next in later_prims
     uint begins,                                  // 1: nothing is known yet
-    uint counts,                                  // 1: samples are new, 0: they have been counted before
-    uint shaded_samples,                          // a bit for each sample that is shaded where its stratum is open
     global const float4 *restrict positions,      // [vertex_count] world space times world_scale
     global const uint *restrict indices,          // [3 * triangle_count]
     global const uint *restrict object_ids,       // [triangle_count]
     global const uint *restrict material_ids,     // [triangle_count]
-    global const uint *restrict sample_positions, // [VISIT_SAMPLES] 256ths of a pixel, x | y << 16
+    global const uint4 *restrict visits,          // [visit_count] first entry or FIRST_VISIT; 1: samples are new; a bit for
+                                                  // each sample that is shaded where its stratum is open
+    global const uint *restrict sample_positions, // [visit_count * VISIT_SAMPLES] 256ths of a pixel, x | y << 16
     global const uint *restrict pixels,           // [count]
     global const uint *restrict slots,            // [count] where what is known of a pixel stands
-    global const uint *restrict sample_prims,     // [.. * VISIT_SAMPLES] prim_id or NO_HIT
+    global const uint *restrict first_prims,      // [pixel_count * VISIT_SAMPLES] prim_id or NO_HIT
+    global const uint *restrict later_prims,      // [count * stride]
     global const uchar *restrict open,            // [slots] a bit for each stratum that calls for more shading
     global uint *restrict stratum_prims,          // [slots * STRATA] in and out
     global uint *restrict stratum_counts,         // [slots * STRATA] in and out: samples | shaded << 16
-    global uint2 *restrict chosen,                // [count] a bit for each sample to be shaded; strata, 2 bits each
+    global uint2 *restrict chosen,                // [count * visit_count] a bit for each sample to be shaded; strata, 2 bits each
     global uchar *restrict chosen_counts)         // [count]
 {
   const uint item = get_global_id(0);
@@ -140,36 +162,55 @@ kernel void meet_strata(
   Strata s = load_strata(slot, stratum_prims, stratum_counts);
   if (begins) s.count = 0;
   const uint is_open = begins ? (1u << STRATA) - 1 : open[slot];
-  uint known[MEMORY], known_stratum[MEMORY], known_count = 0;
-  uint mask = 0, strata = 0;
-  const size_t first = (size_t)(by_pixel ? pixel : item) * VISIT_SAMPLES;
-  for (uint k = 0; k < VISIT_SAMPLES; ++k) {
-    const uint position = sample_positions[k];
-    const float x = left + (float)(position & 0xffffu) / 256.0f, y = top + (float)(position >> 16) / 256.0f;
-    const uint stratum = find_stratum(&g, &s, sample_prims[first + k], x, y, known, known_stratum, &known_count);
-    s.covered[stratum] += counts;
-    if (s.shaded[stratum] != 0 && !(shaded_samples >> k & is_open >> stratum & 1)) continue;
-    s.shaded[stratum] += 1;
-    mask |= 1u << k;
-    strata |= stratum << 2 * k;
+  uint known[MEMORY], known_stratum[MEMORY], known_count = 0, chosen_count = 0;
+  for (uint visit = 0; visit < visit_count; ++visit) {
+    const uint4 own = visits[visit];
+    global const uint *samples = visit_samples(own, pixel, item, stride, first_prims, later_prims);
+    uint mask = 0, strata = 0;
+    const bool is_new = s.count == 0;
+    if ((is_new || s.prims[0] == samples[0]) && shows_one(samples, samples[0])) {  // as below, for one triangle
+      if (is_new) {
+        s.prims[0] = samples[0];
+        s.count = 1;
+        s.covered[0] = s.shaded[0] = 0;
+      }
+      mask = (is_open & 1 ? own.z : 0) | (is_new ? 1 : 0);
+      s.covered[0] += own.y * VISIT_SAMPLES;
+      s.shaded[0] += popcount(mask);
+    } else {
+      for (uint k = 0; k < VISIT_SAMPLES; ++k) {
+        const uint position = sample_positions[visit * VISIT_SAMPLES + k];
+        const float x = left + (float)(position & 0xffffu) / 256.0f, y = top + (float)(position >> 16) / 256.0f;
+        const uint stratum = find_stratum(&g, &s, samples[k], x, y, known, known_stratum, &known_count);
+        s.covered[stratum] += own.y;
+        if (s.shaded[stratum] != 0 && !(own.z >> k & is_open >> stratum & 1)) continue;
+        s.shaded[stratum] += 1;
+        mask |= 1u << k;
+        strata |= stratum << 2 * k;
+      }
+    }
+    chosen[item * (size_t)visit_count + visit] = (uint2)(mask, strata);
+    chosen_count += popcount(mask);
   }
   for (uint k = 0; k < STRATA; ++k) {
     stratum_prims[STRATA * slot + k] = k < s.count ? s.prims[k] : NO_HIT;
     stratum_counts[STRATA * slot + k] = k < s.count ? s.covered[k] | s.shaded[k] << 16 : 0;
   }
-  chosen[item] = (uint2)(mask, strata);
-  chosen_counts[item] = popcount(mask);
+  chosen_counts[item] = chosen_count;
 }
 
-// Reads: pixels, sample_prims, chosen (meet_strata), begins (list_samples.cl). Writes: shaded_prims, places (for
-// shade_hits), first_shaded (for gather_strata). Work item: LIST_CHUNK listed pixels. Local memory: 0 bytes.
+// Reads: pixels, first_prims, later_prims, chosen (meet_strata), begins (list_samples.cl). Writes: shaded_prims, places
+// (for shade_hits), first_shaded (for gather_strata). Work item: LIST_CHUNK listed pixels. Local memory: 0 bytes.
 kernel void list_chosen(
     uint count,
-    uint by_pixel,
-    global const uint *restrict sample_positions, // [VISIT_SAMPLES]
+    uint visit_count,
+    uint stride,
+    global const uint4 *restrict visits,          // [visit_count]
+    global const uint *restrict sample_positions, // [visit_count * VISIT_SAMPLES]
     global const uint *restrict pixels,           // [count]
-    global const uint *restrict sample_prims,     // [.. * VISIT_SAMPLES]
-    global const uint2 *restrict chosen,          // [count]
+    global const uint *restrict first_prims,      // [pixel_count * VISIT_SAMPLES]
+    global const uint *restrict later_prims,      // [count * stride]
+    global const uint2 *restrict chosen,          // [count * visit_count]
     global const uint *restrict begins,           // [chunks + 1]
     global uint *restrict first_shaded,           // [count] where a pixel's samples begin in the list
     global uint *restrict shaded_prims,           // [listed]
@@ -180,12 +221,14 @@ kernel void list_chosen(
   uint position = begins[begin / LIST_CHUNK];
   for (uint item = begin; item < min(begin + LIST_CHUNK, count); ++item) {
     const uint pixel = pixels[item];
-    const size_t first = (size_t)(by_pixel ? pixel : item) * VISIT_SAMPLES;
     first_shaded[item] = position;
-    for (uint k = 0; k < VISIT_SAMPLES; ++k) {
-      if (!(chosen[item].x >> k & 1)) continue;
-      shaded_prims[position] = sample_prims[first + k];
-      places[position++] = (uint2)(pixel, sample_positions[k]);
+    for (uint visit = 0; visit < visit_count; ++visit) {
+      global const uint *samples = visit_samples(visits[visit], pixel, item, stride, first_prims, later_prims);
+      for (uint mask = chosen[item * (size_t)visit_count + visit].x; mask != 0; mask &= mask - 1) {
+        const uint k = 31 - clz(mask & (0 - mask));
+        shaded_prims[position] = samples[k];
+        places[position++] = (uint2)(pixel, sample_positions[visit * VISIT_SAMPLES + k]);
+      }
     }
   }
 }

@@ -52,8 +52,11 @@ def by_passes(job: RenderJob, visit: int) -> np.ndarray:
     return np.stack(found, axis=1)
 
 
-@pytest.mark.parametrize("share", [1.0, 0.3, 0.002])
-def test_lanes_decide_as_passes_do(device: Device, lamps: clrast.Scene, share: float) -> None:
+@pytest.mark.parametrize(("share", "visits"), [(1.0, (3,)), (0.3, (0, 7, 2, 3, 9)), (0.002, (1, 2))])
+def test_lanes_decide_as_passes_do(
+    device: Device, lamps: clrast.Scene, share: float, visits: tuple[int, ...]
+) -> None:  # fmt: skip
+    """Whatever is guessed to be seen: nothing, all, or by chance."""
     job, count = start(device, lamps), SIZE[0] * SIZE[1]
     if not job.tiles.takes_samples:
         assert device.vector_width == 1 or job.features.keep_nearness
@@ -61,13 +64,18 @@ def test_lanes_decide_as_passes_do(device: Device, lamps: clrast.Scene, share: f
     listed = np.nonzero(np.random.default_rng(5).random(count) < share)[0].astype(np.uint32)
     places = np.full(count, NO_HIT, dtype=np.uint32)
     places[listed] = np.arange(len(listed))
-    samples = ListedSamples(device, job.features, PATTERN, count)
+    guess = np.random.default_rng(7).integers(0, 2000, count, dtype=np.uint32)
+    guess[: count // 2] = NO_HIT
+    samples = ListedSamples(device, job.features, PATTERN)
     where = None if share == 1.0 else buffers.upload(device, places)
-    samples.decide(job.sample_passes, 3, len(listed), count, where, buffers.upload(device, listed))
-    assert job.sample_passes.visits == 1 and job.sample_passes.listed == VISIT_SAMPLES * len(listed)
-    found = buffers.download(device, samples.prims, np.uint32, (len(listed), VISIT_SAMPLES))
-    expected = by_passes(job, 3)[listed]
-    np.testing.assert_array_equal(found, expected)
+    found = buffers.create(device, 4 * len(visits) * VISIT_SAMPLES * len(listed))
+    lists = where, buffers.upload(device, listed)
+    samples.decide(job.sample_passes, visits, len(listed), buffers.upload(device, guess), found, *lists)
+    assert job.sample_passes.visits == len(visits)
+    assert job.sample_passes.listed == len(visits) * VISIT_SAMPLES * len(listed)
+    shape = len(listed), len(visits) * VISIT_SAMPLES
+    expected = np.concatenate([by_passes(job, visit)[listed] for visit in visits], axis=1)
+    np.testing.assert_array_equal(buffers.download(device, found, np.uint32, shape), expected)
     assert len(np.unique(expected)) > (1 if share < 0.01 else 3)
 
 
@@ -76,7 +84,9 @@ def test_what_is_not_listed_costs_nothing(lamps: clrast.Scene) -> None:
     device = open_device(runtimes().working[next(iter(runtimes().working))])
     job, count = start(device, lamps, counters=True), SIZE[0] * SIZE[1]
     assert job.tiles.takes_samples and job.work is not None
-    samples = ListedSamples(device, job.features, PATTERN, count)
+    samples = ListedSamples(device, job.features, PATTERN)
+    found = buffers.create(device, 4 * VISIT_SAMPLES * count)
+    guess = buffers.upload(device, np.full(count, NO_HIT, dtype=np.uint32))
     places = np.full(count, NO_HIT, dtype=np.uint32)
     done = []
     for listed in ([], [37 * SIZE[0] + 33], list(range(count))):
@@ -84,7 +94,7 @@ def test_what_is_not_listed_costs_nothing(lamps: clrast.Scene) -> None:
         places[listed] = np.arange(len(listed))
         job.work.clear()
         job.work.clear_cost()
-        samples.decide(job.sample_passes, 0, len(listed), count, buffers.upload(device, places))
+        samples.decide(job.sample_passes, (0,), len(listed), guess, found, buffers.upload(device, places))
         work = job.work.collect()
         cost = buffers.download(device, job.work.cost, np.uint32, count)
         assert not cost[places == NO_HIT].any()

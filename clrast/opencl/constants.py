@@ -208,7 +208,10 @@ STRATA = 4
 """Surfaces of a pixel whose samples auto keeps apart; the last one takes what the others do not."""
 
 VISIT_SAMPLES = 16
-"""Samples of a pixel that are decided at once where pixels are listed: 2 vectors of 8 lanes, or one of 16."""
+"""Samples of a pixel that are judged together where pixels are listed: 2 vectors of 8 lanes, or one of 16."""
+
+LANE_GROUPS = 4
+"""Vectors of samples that listed pixels are decided at while triangles are set up once."""
 
 LIGHT_POINT = 0
 LIGHT_SPOT = 1

@@ -15,12 +15,13 @@ from clrast.opencl import buffers, kernels
 from clrast.opencl.constants import LIST_CHUNK, STRATA, VISIT_SAMPLES
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
+from clrast.opencl.layout import NO_HIT
 from clrast.shading.edge_pixels import BYTES_PER_PIXEL, FOOTPRINT, EdgePixels, padded
 from clrast.shading.multisample import ground_arguments
 from clrast.shading.shade import WORK_GROUP, Shader
 from clrast.visibility.listed_samples import ListedSamples
 from clrast.visibility.sample_passes import SamplePasses
-from clrast.visibility.sample_patterns import Antialiasing
+from clrast.visibility.sample_patterns import Antialiasing, Position
 
 SHADED_SHARE = 4
 """Of so many samples whose visibility is known one is shaded where its surface is open."""
@@ -32,9 +33,15 @@ STATE_BYTES = SUMS_BYTES + 8 * STRATA + 1
 TYPICAL_SHADED = 6
 """Samples of a listed pixel shaded at once that memory is planned for where no budget is given."""
 
+VISITS_AT_ONCE = 4
+"""Visits of the listed pixels whose samples are kept at once, beside the first of all pixels."""
 
-def visits_of(round_number: int) -> list[tuple[int, bool, int]]:
-    """What a round looks at: VISIT_SAMPLES samples each, by number; whether they are new; a bit for each shaded one.
+Visit = tuple[int, bool, int]
+
+
+def visits_of(round_number: int) -> list[Visit]:
+    """What a round looks at: VISIT_SAMPLES samples each, by number; whether they are new; a bit for each that may be
+    shaded.
 
     Round r ends with 16 * 2^r samples; the first 4 * 2^r may be shaded.
     """
@@ -47,6 +54,14 @@ def visits_of(round_number: int) -> list[tuple[int, bool, int]]:
     for k in range(first // VISIT_SAMPLES, -(-end // VISIT_SAMPLES)):
         old.append((k, False, sum(1 << n for n in range(VISIT_SAMPLES) if first <= VISIT_SAMPLES * k + n < end)))
     return new + old
+
+
+def parted(visits: list[Visit]) -> list[list[Visit]]:
+    """The visits of a round in parts of as many as are kept at once."""
+    later = [visit for visit in visits if visit[0] != 0]
+    parts = [later[k : k + VISITS_AT_ONCE] for k in range(0, len(later), VISITS_AT_ONCE)] or [[]]
+    parts[-1] += [visit for visit in visits if visit[0] == 0]
+    return parts
 
 
 class StratifiedSampler:
@@ -65,13 +80,12 @@ class StratifiedSampler:
         self.counts: dict[str, int] = {}
         self.own_launches = 0
         self.edges = EdgePixels(device, features, 0, max_pixels)
-        self._samples = ListedSamples(device, features, self.positions, max_pixels)
+        self._samples = ListedSamples(device, features, self.positions)
+        self._first_prims = buffers.create(device, 4 * VISIT_SAMPLES * max_pixels)
         self._strata = kernels.build(device, "stratify_samples.cl", features)
         self._judging = kernels.build(device, "judge_strata.cl", features)
         self._contrast = kernels.build(device, "adaptive_samples.cl", features)
-        packed = np.array([x | y << 16 for x, y in self.positions], dtype=np.uint32)
-        self._positions = [buffers.upload(device, packed[k : k + VISIT_SAMPLES])
-                           for k in range(0, len(packed), VISIT_SAMPLES)]  # fmt: skip
+        self._parts: dict[int, list[dict[str, Any]]] = {}
         self._deviations = buffers.create(device, 4 * max_pixels)
 
     @property
@@ -82,14 +96,15 @@ class StratifiedSampler:
     @staticmethod
     def bytes_per_pixel(at_worst: bool) -> int:
         """Device bytes a pixel of a band takes here where all are listed; at_worst : and all that may be is shaded."""
-        shaded = VISIT_SAMPLES if at_worst else TYPICAL_SHADED
-        of_listed = 4 * 4 + STATE_BYTES + 8 + 1 + 4 + 1 + shaded * (12 + Shader.bytes_per_pixel(("color",)))
-        return BYTES_PER_PIXEL + 4 + 8 * VISIT_SAMPLES + of_listed
+        shaded = (1 + VISITS_AT_ONCE) * VISIT_SAMPLES if at_worst else TYPICAL_SHADED
+        visits = VISITS_AT_ONCE if at_worst else 1
+        of_listed = 4 * 4 + STATE_BYTES + 8 * (1 + visits) + 1 + 4 + 1 + 4 * VISIT_SAMPLES * visits
+        return BYTES_PER_PIXEL + 4 + 4 * VISIT_SAMPLES + of_listed + shaded * (12 + Shader.bytes_per_pixel(("color",)))
 
     def resolve_band(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, target: Shader) -> None:
         """Replace the colour of a band in `target`, shaded at the centres, where samples are called for. Waits."""
         self.edges.start(passes, row, rows, pixel_count, self.positions)
-        self._samples.decide(passes, 0, pixel_count, pixel_count, None)
+        self._samples.decide(passes, (0,), pixel_count, self.edges.center, self._first_prims)
         count = passes.timed("resolve", partial(self._list_first, passes.tiles.view, pixel_count, target))
         self._count("edge_pixels", count)
         self._count("samples_shaded", pixel_count)
@@ -97,8 +112,8 @@ class StratifiedSampler:
         round_number = 0
         while count:
             self._band = {"count": count, "pixels": self.edges.room(lists[0]), "slots": self.edges.room(lists[1])}
-            for visit, is_new, shaded in visits_of(round_number):
-                self._visit(passes, visit, is_new, shaded, round_number == 0, pixel_count, target)
+            for part in self._parts_of(round_number):
+                self._visit(passes, part, round_number == 0, pixel_count, target)
             width = int(passes.tiles.view["width"])
             judge = partial(self._judge, round_number, lists, pixel_count, width, target)
             lists, count = passes.timed("resolve", judge)
@@ -107,7 +122,7 @@ class StratifiedSampler:
     def _list_first(self, view: np.ndarray, pixel_count: int, target: Shader) -> int:
         self._launch(
             self._strata, "flag_surfaces", pixel_count, pixel_count=pixel_count, center_prims=self.edges.center,
-            sample_prims=self._samples.prims, edge_flags=self.edges.flags, **self._ground(view),
+            sample_prims=self._first_prims, edge_flags=self.edges.flags, **self._ground(view),
         )  # fmt: skip
         self._launch(
             self._contrast, "flag_contrast", pixel_count, pixel_count=pixel_count, width=int(view["width"]),
@@ -120,41 +135,62 @@ class StratifiedSampler:
         buffers.fill(self.device, self._deviations, np.float32(-1.0), 4 * pixel_count)
         for name, size in (
             ("sums", SUMS_BYTES), ("stratum_prims", 4 * STRATA), ("stratum_counts", 4 * STRATA), ("open", 1),
-            ("chosen", 8), ("chosen_counts", 1), ("first_shaded", 4), ("keep", 1),
+            ("chosen_counts", 1), ("first_shaded", 4), ("keep", 1),
         ):  # fmt: skip
             self.edges.room(name, size * count)
         return count
 
+    def _parts_of(self, round_number: int) -> list[dict[str, Any]]:
+        """What a round looks at, part by part: visits of which samples are decided anew, and the kernels' arguments."""
+        if round_number not in self._parts:
+            self._parts[round_number] = [self._part_of(part) for part in parted(visits_of(round_number))]
+        return self._parts[round_number]
+
+    def _part_of(self, part: list[Visit]) -> dict[str, Any]:
+        later = [visit for visit, _, _ in part if visit != 0]
+        rows: list[tuple[int, ...]] = []
+        positions: list[Position] = []
+        for visit, is_new, shaded in part:
+            rows.append((VISIT_SAMPLES * later.index(visit) if visit else NO_HIT, int(is_new), shaded, 0))
+            positions += self.positions[VISIT_SAMPLES * visit : VISIT_SAMPLES * (visit + 1)]
+        packed = np.array([x | y << 16 for x, y in positions], dtype=np.uint32)
+        return {
+            "later": later, "visit_count": len(part), "stride": VISIT_SAMPLES * len(later),
+            "visits": buffers.upload(self.device, np.array(rows, dtype=np.uint32)),
+            "sample_positions": buffers.upload(self.device, packed),
+        }  # fmt: skip
+
     def _visit(
-        self, passes: SamplePasses, visit: int, is_new: bool, shaded: int, begins: bool, pixel_count: int,
-        target: Shader,
-    ) -> None:  # fmt: skip
-        """Find what 16 samples of the listed pixels show, shade those that are called for, and sum them."""
+        self, passes: SamplePasses, part: dict[str, Any], begins: bool, pixel_count: int, target: Shader
+    ) -> None:
+        """Find what samples of the listed pixels show, shade those that are called for, and sum them."""
         view, count = passes.tiles.view, self._band["count"]
-        if not begins:
-            self._samples.decide(passes, visit, count, pixel_count, self.edges.places, self._band["pixels"])
-        listed = passes.timed("resolve", partial(self._choose, view, visit, is_new, shaded, begins))
+        later = self.edges.room("later_prims", 4 * part["stride"] * count)
+        lists = self.edges.places, self._band["pixels"]
+        self._samples.decide(passes, part["later"], count, self.edges.center, later, *lists)
+        listed = passes.timed("resolve", partial(self._choose, view, part, begins))
         if not listed:
             return
-        lists = self.edges.room("shaded_prims"), listed, 0, self.edges.room("places")
-        passes.timed("shade", partial(self.shader.shade, view, *lists))
+        shaded = self.edges.room("shaded_prims"), listed, 0, self.edges.room("places")
+        passes.timed("shade", partial(self.shader.shade, view, *shaded))
         self._count("samples_shaded", listed)
         self._launch(
             self._judging, "gather_strata", count, **self._band, pixel_count=pixel_count, listed_count=listed,
-            begins=int(begins), colors=self.shader.values, values=target.values,
-            **self._rooms("chosen", "first_shaded", "sums"),
+            visit_count=part["visit_count"], colors=self.shader.values, values=target.values,
+            **self._rooms("chosen", "stratum_counts", "first_shaded", "sums"),
         )  # fmt: skip
 
-    def _choose(self, view: np.ndarray, visit: int, is_new: bool, shaded: int, begins: bool) -> int:
-        """List the samples of a visit that are to be shaded; returns their number. Waits."""
+    def _choose(self, view: np.ndarray, part: dict[str, Any], begins: bool) -> int:
+        """List the samples that are to be shaded; returns their number. Waits."""
         count = self._band["count"]
-        of_samples = {
-            "by_pixel": int(begins), "sample_positions": self._positions[visit], "sample_prims": self._samples.prims,
+        of_samples = {name: part[name] for name in ("visit_count", "stride", "visits", "sample_positions")}
+        of_samples |= {
+            "first_prims": self._first_prims, "later_prims": self.edges.room("later_prims"),
+            "chosen": self.edges.room("chosen", 8 * part["visit_count"] * count),
         }  # fmt: skip
         self._launch(
             self._strata, "meet_strata", count, **self._band, **of_samples, **self._ground(view), begins=int(begins),
-            counts=int(is_new), shaded_samples=shaded,
-            **self._rooms("open", "stratum_prims", "stratum_counts", "chosen", "chosen_counts"),
+            **self._rooms("open", "stratum_prims", "stratum_counts", "chosen_counts"),
         )  # fmt: skip
         listed = self.edges.sum_entries(self.edges.room("chosen_counts"), count)
         if listed:
@@ -162,7 +198,7 @@ class StratifiedSampler:
             self._strata.launch(
                 "list_chosen", -(-count // LIST_CHUNK), 1, **band, **of_samples, begins=self.edges.begins,
                 shaded_prims=self.edges.room("shaded_prims", 4 * listed), places=self.edges.room("places", 8 * listed),
-                **self._rooms("chosen", "first_shaded"),
+                first_shaded=self.edges.room("first_shaded"),
             )  # fmt: skip
             self.own_launches += 1
             self.shader.make_room(listed)
@@ -181,15 +217,14 @@ class StratifiedSampler:
             self._judging, "judge_strata", count, **self._band, pixel_count=pixel_count, width=width,
             sample_count=float(samples), error_factor=float(np.float32(math.pow(samples, -0.75))),
             threshold=self.threshold if samples < len(self.positions) else math.inf, deviations=self._deviations,
-            **self._rooms("stratum_counts", "sums", "open", "keep"),
+            values=target.values, **self._rooms("stratum_counts", "sums", "open", "keep"),
         )  # fmt: skip
         kept = self.edges.sum_entries(self.edges.room("keep"), count)
         others = ("other_pixels", "other_slots") if lists[0] == "edge_pixels" else ("edge_pixels", "slots")
         self._judging.launch(
-            "keep_strata", -(-count // LIST_CHUNK), 1, **self._band, pixel_count=pixel_count,
-            sample_count=float(samples), begins=self.edges.begins, kept_pixels=self.edges.room(others[0], 4 * kept),
-            kept_slots=self.edges.room(others[1], 4 * kept), pixel_places=self.edges.places, values=target.values,
-            **self._rooms("keep", "stratum_counts", "sums"),
+            "keep_strata", -(-count // LIST_CHUNK), 1, **self._band, begins=self.edges.begins,
+            keep=self.edges.room("keep"), kept_pixels=self.edges.room(others[0], 4 * kept),
+            kept_slots=self.edges.room(others[1], 4 * kept), pixel_places=self.edges.places,
         )  # fmt: skip
         self.own_launches += 1
         return others, kept

@@ -250,12 +250,14 @@ class TileRasterizer:
         )  # fmt: skip
 
     def rasterize_samples(
-        self, positions: np.ndarray, places: cl.Buffer | None, sample_prims: cl.Buffer, stride: int, first: int
-    ) -> None:
-        """Decide VECTOR_WIDTH samples of each listed pixel: entries from `first` on of its `stride` in `sample_prims`.
+        self, positions: np.ndarray, places: cl.Buffer | None, center_prims: cl.Buffer, sample_prims: cl.Buffer,
+        stride: int, first: int,
+    ) -> None:  # fmt: skip
+        """Decide samples of each listed pixel: entries from `first` on of its `stride` in `sample_prims`.
 
-        positions : (2, VECTOR_WIDTH) float32, x and y of the samples in a pixel, pixels. places : [pixels of the band]
-        where a pixel stands in the list, or NO_HIT; None lists all. The bounds have to hold for the positions.
+        positions : (2, n * VECTOR_WIDTH) float32, x and y of the samples in a pixel, pixels; n is at most LANE_GROUPS.
+        places : [pixels of the band] where a pixel stands in the list, or NO_HIT; None lists all. The bounds have to
+        hold for the positions. center_prims : [pixels of the band] what is likely to be seen; no result depends on it.
         """
         if self._sample_program is None:
             self._sample_program = kernels.build(self.device, "rasterize_samples.cl", self.features)
@@ -265,10 +267,11 @@ class TileRasterizer:
         self._sample_program.launch(
             "rasterize_samples", tile_count, 1, view=self.view, tile_count=tile_count,
             reference_capacity=self.reference_capacity, everywhere=int(places is None), stride=stride,
-            first_entry=first, sample_x=x, sample_y=y, corners=self.geometry.corners, tile_begin=self._tile_begin,
-            reference_prims=self._reference_prims, reference_bounds=self._reference_bounds,
-            places=self._tile_begin if places is None else places, sample_prims=sample_prims,
-            **self.surfaces, **counted,
+            first_entry=first, group_count=positions.shape[1] // self.features.vector_width, sample_x=x, sample_y=y,
+            corners=self.geometry.corners, tile_begin=self._tile_begin, reference_prims=self._reference_prims,
+            reference_bounds=self._reference_bounds,
+            places=self._tile_begin if places is None else places, center_prims=center_prims,
+            sample_prims=sample_prims, **self.surfaces, **counted,
         )  # fmt: skip
         self.launches += 1
 
