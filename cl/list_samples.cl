@@ -102,8 +102,8 @@ kernel void count_flags(
   chunk_counts[begin / LIST_CHUNK] = sum;
 }
 
-// Reads: visible_prims (any method's). Writes: sample_prims (for meet_strata). Work item: LIST_CHUNK listed pixels.
-// Local memory: 0 bytes.
+// Reads: visible_prims (any method's). Writes: sample_prims and differs (for meet_strata). Work item: LIST_CHUNK listed
+// pixels. Local memory: 0 bytes.
 kernel void take_samples(
     uint count,                                 // of listed pixels
     uint everywhere,                            // 1: all pixels of the band are listed
@@ -111,9 +111,14 @@ kernel void take_samples(
     uint stride,                                // entries from one listed pixel to the next
     global const uint *restrict pixels,         // [count]
     global const uint *restrict visible_prims,  // [pixel_count] at the sample
+    global const uint *restrict center_prims,   // [pixel_count]
+    global uchar *restrict differs,             // [pixel_count] `everywhere`: 1 where a sample shows another triangle
     global uint *restrict sample_prims)         // [count * stride]
 {
   const uint begin = get_global_id(0) * LIST_CHUNK;
-  for (uint item = begin; item < min(begin + LIST_CHUNK, count); ++item)
-    sample_prims[(size_t)item * stride + sample] = visible_prims[everywhere ? item : pixels[item]];
+  for (uint item = begin; item < min(begin + LIST_CHUNK, count); ++item) {
+    const uint pixel = everywhere ? item : pixels[item], found = visible_prims[pixel];
+    sample_prims[(size_t)item * stride + sample] = found;
+    if (everywhere) differs[pixel] = (sample != 0 && differs[pixel]) || found != center_prims[pixel];
+  }
 }

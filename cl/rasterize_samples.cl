@@ -175,13 +175,24 @@ INLINE void decide_gathered(View view, TileFrame *frame, float lowest, Gathered 
   }
 }
 
-// Writes what was found at the listed pixels.
-INLINE void store_square(View view, int left, int top, const Square *square, const TileSamples *samples, uint everywhere,
-                         uint stride, uint first_entry, global const uint *restrict places, global uint *restrict sample_prims) {
+// Writes what was found at the listed pixels: where all are, whether it differs from what the centres show, and only then
+// the samples.
+INLINE void store_square(View view, int left, int top, const Square *square, uint group_count, const TileSamples *samples,
+                         uint everywhere, uint stride, uint first_entry, global const uint *restrict places,
+                         global const uint *restrict center_prims, global uchar *restrict differs,
+                         global uint *restrict sample_prims) {
   for (uint k = 0; k < square->count; ++k) {
     const uint block = square->blocks[k], row = block / TILE_SIZE, column = block % TILE_SIZE;
     const size_t pixel = (size_t)(top + square->top + row - (view.band_row << TILE_LOG2)) * view.width + left + square->left + column;
-    STORE_V(samples->visible[block], sample_prims + (size_t)(everywhere ? pixel : places[pixel]) * stride + first_entry);
+    if (everywhere) {
+      const int_v center = (int)center_prims[pixel];
+      int_v others = 0;
+      for (uint group = 0; group < group_count; ++group) others |= AS_INT_V(samples[group].visible[block]) != center;
+      differs[pixel] = has_lane(others) != 0;
+      if (!differs[pixel]) continue;
+    }
+    global uint *own = sample_prims + (everywhere ? pixel : places[pixel]) * (size_t)stride + first_entry;
+    for (uint group = 0; group < group_count; ++group) STORE_V(samples[group].visible[block], own + group * VECTOR_WIDTH);
   }
 }
 
@@ -228,13 +239,14 @@ kernel void rasterize_samples(
     global const uint *restrict reference_prims,   // [padded reference_capacity] prim_id
     global const uint *restrict reference_bounds,  // [padded reference_capacity] bound within the tile
     global const uint *restrict places,          // [band height * width] a pixel's place in the list, or NO_HIT
-    global const uint *restrict center_prims,    // [band height * width] prim_id or NO_HIT, or whatever: a guess
+    global const uint *restrict center_prims,    // [band height * width] prim_id or NO_HIT; a guess where not `everywhere`
 #if COUNTERS
     uint pixel_count,                            // of the band
     global ulong *restrict work,                 // [tile_count * WORK_COUNTER_COUNT] added to
     global uint *restrict cost,                  // [3 * pixel_count] evaluations, setups, steps, added to
 #endif
-    global uint *restrict sample_prims)          // [listed * stride] prim_id or NO_HIT of the samples
+    global uchar *restrict differs,              // [band height * width] `everywhere`: 1 where a sample shows another triangle
+    global uint *restrict sample_prims)          // [listed * stride] prim_id or NO_HIT of the samples; of pixels that differ
 {
   const uint tile = get_global_id(0);
   if (tile >= tile_count) return;
@@ -287,12 +299,11 @@ kernel void rasterize_samples(
       has_waited = next == &waiting;
       decide_gathered(view, &frame, lowest, next, group_count, lanes, samples, corners);
     }
-    for (uint group = 0; group < group_count; ++group) {
-      store_square(view, left, top, &square, samples + group, everywhere, stride, first_entry + group * VECTOR_WIDTH, places, sample_prims);
+    store_square(view, left, top, &square, group_count, samples, everywhere, stride, first_entry, places, center_prims, differs,
+                 sample_prims);
 #if COUNTERS
-      add_costs(view, left, top, &square, samples + group, pixel_count, cost);
+    for (uint group = 0; group < group_count; ++group) add_costs(view, left, top, &square, samples + group, pixel_count, cost);
 #endif
-    }
   }
 #if COUNTERS
   for (uint group = 0; group < group_count; ++group) add_work(&samples[group].work, tile, work);

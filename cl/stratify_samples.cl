@@ -68,26 +68,27 @@ kernel void flag_surfaces(
     global const uint *restrict object_ids,       // [triangle_count]
     global const uint *restrict material_ids,     // [triangle_count]
     global const uint *restrict center_prims,     // [pixel_count] prim_id or NO_HIT
-    global const uint *restrict sample_prims,     // [pixel_count * VISIT_SAMPLES]
+    global const uchar *restrict differs,         // [pixel_count] 0 where no sample shows another triangle
+    global const uint *restrict sample_prims,     // [pixel_count * VISIT_SAMPLES] of pixels that differ
     global uchar *restrict edge_flags)            // [pixel_count] 255 where a sample shows another surface
 {
   const uint pixel = get_global_id(0);
   if (pixel >= pixel_count) return;
-  const uint center = center_prims[pixel];
   edge_flags[pixel] = 0;
-  if (shows_one(sample_prims + (size_t)pixel * VISIT_SAMPLES, center)) return;
+  if (!differs[pixel]) return;
+  const uint center = center_prims[pixel];
   const Ground g = {view, surface_distance, positions, indices, object_ids, material_ids};
   const float x = (float)(pixel % view.width) - view.center_x + 0.5f;
   const float y = (float)(pixel / view.width + (view.band_row << TILE_LOG2)) - view.center_y + 0.5f;
   uint known = center;
-  bool differs = false;
-  for (uint k = 0; k < VISIT_SAMPLES && !differs; ++k) {
+  bool is_edge = false;
+  for (uint k = 0; k < VISIT_SAMPLES && !is_edge; ++k) {
     const uint prim_id = sample_prims[(size_t)pixel * VISIT_SAMPLES + k];
     if (prim_id == center || prim_id == known) continue;
-    differs = !shows_same(&g, center, prim_id, x, y);
+    is_edge = !shows_same(&g, center, prim_id, x, y);
     known = prim_id;
   }
-  if (differs) edge_flags[pixel] = 255;
+  if (is_edge) edge_flags[pixel] = 255;
 }
 
 // The stratum of a triangle that a sample at (X, Y) shows; a new one where it is part of none and there is room.
@@ -118,14 +119,14 @@ static inline uint find_stratum(const Ground *g, Strata *s, uint prim_id, float 
   return stratum;
 }
 
-// Where the samples of a visit stand, of one pixel.
+// Where the samples of a visit stand, of one pixel. Those of the first visit are not written where nothing differs.
 static inline global const uint *visit_samples(uint4 visit, uint pixel, uint item, uint stride,
                                                global const uint *first_prims, global const uint *later_prims) {
   if (visit.x == FIRST_VISIT) return first_prims + (size_t)pixel * VISIT_SAMPLES;
   return later_prims + (size_t)item * stride + visit.x;
 }
 
-// Reads: pixels, slots (list_edge_pixels, keep_strata), first_prims, later_prims (rasterize_samples). Writes:
+// Reads: pixels, slots (list_edge_pixels, keep_strata), differs, first_prims, later_prims (rasterize_samples). Writes:
 // stratum_prims, stratum_counts, chosen, chosen_counts (for list_chosen). Work item: one listed pixel.
 // Local memory: 0 bytes.
 kernel void meet_strata(
@@ -144,7 +145,9 @@ kernel void meet_strata(
     global const uint *restrict sample_positions, // [visit_count * VISIT_SAMPLES] 256ths of a pixel, x | y << 16
     global const uint *restrict pixels,           // [count]
     global const uint *restrict slots,            // [count] where what is known of a pixel stands
-    global const uint *restrict first_prims,      // [pixel_count * VISIT_SAMPLES] prim_id or NO_HIT
+    global const uint *restrict center_prims,     // [pixel_count]
+    global const uchar *restrict differs,         // [pixel_count] 0: all samples of the first visit show center_prims
+    global const uint *restrict first_prims,      // [pixel_count * VISIT_SAMPLES] prim_id or NO_HIT, of pixels that differ
     global const uint *restrict later_prims,      // [count * stride]
     global const uchar *restrict open,            // [slots] a bit for each stratum that calls for more shading
     global uint *restrict stratum_prims,          // [slots * STRATA] in and out
@@ -167,10 +170,12 @@ kernel void meet_strata(
     const uint4 own = visits[visit];
     global const uint *samples = visit_samples(own, pixel, item, stride, first_prims, later_prims);
     uint mask = 0, strata = 0;
-    const bool is_new = s.count == 0;
-    if ((is_new || s.prims[0] == samples[0]) && shows_one(samples, samples[0])) {  // as below, for one triangle
+    const bool is_new = s.count == 0, is_plain = own.x == FIRST_VISIT && !differs[pixel];
+    const uint first_prim = is_plain ? center_prims[pixel] : samples[0];
+    // As below, for one triangle. Where samples do not differ the first stratum is theirs, since they were met first.
+    if (is_plain || ((is_new || s.prims[0] == first_prim) && shows_one(samples, first_prim))) {
       if (is_new) {
-        s.prims[0] = samples[0];
+        s.prims[0] = first_prim;
         s.count = 1;
         s.covered[0] = s.shaded[0] = 0;
       }
@@ -208,7 +213,9 @@ kernel void list_chosen(
     global const uint4 *restrict visits,          // [visit_count]
     global const uint *restrict sample_positions, // [visit_count * VISIT_SAMPLES]
     global const uint *restrict pixels,           // [count]
-    global const uint *restrict first_prims,      // [pixel_count * VISIT_SAMPLES]
+    global const uint *restrict center_prims,     // [pixel_count]
+    global const uchar *restrict differs,         // [pixel_count]
+    global const uint *restrict first_prims,      // [pixel_count * VISIT_SAMPLES] of pixels that differ
     global const uint *restrict later_prims,      // [count * stride]
     global const uint2 *restrict chosen,          // [count * visit_count]
     global const uint *restrict begins,           // [chunks + 1]
@@ -223,10 +230,11 @@ kernel void list_chosen(
     const uint pixel = pixels[item];
     first_shaded[item] = position;
     for (uint visit = 0; visit < visit_count; ++visit) {
+      const bool is_plain = visits[visit].x == FIRST_VISIT && !differs[pixel];
       global const uint *samples = visit_samples(visits[visit], pixel, item, stride, first_prims, later_prims);
       for (uint mask = chosen[item * (size_t)visit_count + visit].x; mask != 0; mask &= mask - 1) {
         const uint k = 31 - clz(mask & (0 - mask));
-        shaded_prims[position] = samples[k];
+        shaded_prims[position] = is_plain ? center_prims[pixel] : samples[k];
         places[position++] = (uint2)(pixel, sample_positions[visit * VISIT_SAMPLES + k]);
       }
     }

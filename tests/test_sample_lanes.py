@@ -20,7 +20,7 @@ from clrast.scene.camera import camera_vectors, frame_scene
 from clrast.shading.effects import plan_effects
 from clrast.shading.strata import visits_of
 from clrast.visibility.listed_samples import ListedSamples
-from clrast.visibility.sample_patterns import scrambled
+from clrast.visibility.sample_patterns import CENTER, scrambled
 
 SIZE = (75, 70)  # sticks out of tiles and squares
 PATTERN = scrambled(256).positions
@@ -67,9 +67,8 @@ def test_lanes_decide_as_passes_do(
     guess = np.random.default_rng(7).integers(0, 2000, count, dtype=np.uint32)
     guess[: count // 2] = NO_HIT
     samples = ListedSamples(device, job.features, PATTERN)
-    where = None if share == 1.0 else buffers.upload(device, places)
     found = buffers.create(device, 4 * len(visits) * VISIT_SAMPLES * len(listed))
-    lists = where, buffers.upload(device, listed)
+    lists = buffers.upload(device, places), buffers.upload(device, listed)
     samples.decide(job.sample_passes, visits, len(listed), buffers.upload(device, guess), found, *lists)
     assert job.sample_passes.visits == len(visits)
     assert job.sample_passes.listed == len(visits) * VISIT_SAMPLES * len(listed)
@@ -77,6 +76,21 @@ def test_lanes_decide_as_passes_do(
     expected = np.concatenate([by_passes(job, visit)[listed] for visit in visits], axis=1)
     np.testing.assert_array_equal(buffers.download(device, found, np.uint32, shape), expected)
     assert len(np.unique(expected)) > (1 if share < 0.01 else 3)
+
+
+def test_all_pixels_say_where_samples_differ(device: Device, lamps: clrast.Scene) -> None:
+    job, count = start(device, lamps), SIZE[0] * SIZE[1]
+    expected = by_passes(job, 0)
+    job.sample_passes.decide((CENTER,))
+    center = buffers.download(device, job.tiles.visible_prims, np.uint32, count)
+    kept = buffers.upload(device, center)
+    differs, found = buffers.create(device, count), buffers.create(device, 4 * VISIT_SAMPLES * count)
+    ListedSamples(device, job.features, PATTERN).decide_all(job.sample_passes, count, kept, differs, found)
+    where = buffers.download(device, differs, np.uint8, count) != 0
+    np.testing.assert_array_equal(where, (expected != center[:, None]).any(axis=1))
+    assert 0.01 < where.mean() < 0.9
+    prims = buffers.download(device, found, np.uint32, (count, VISIT_SAMPLES))
+    np.testing.assert_array_equal(prims[where], expected[where])
 
 
 def test_what_is_not_listed_costs_nothing(lamps: clrast.Scene) -> None:
@@ -94,7 +108,8 @@ def test_what_is_not_listed_costs_nothing(lamps: clrast.Scene) -> None:
         places[listed] = np.arange(len(listed))
         job.work.clear()
         job.work.clear_cost()
-        samples.decide(job.sample_passes, (0,), len(listed), guess, found, buffers.upload(device, places))
+        lists = buffers.upload(device, places), buffers.upload(device, np.array(listed, dtype=np.uint32))
+        samples.decide(job.sample_passes, (0,), len(listed), guess, found, *lists)
         work = job.work.collect()
         cost = buffers.download(device, job.work.cost, np.uint32, count)
         assert not cost[places == NO_HIT].any()

@@ -82,6 +82,7 @@ class StratifiedSampler:
         self.edges = EdgePixels(device, features, 0, max_pixels)
         self._samples = ListedSamples(device, features, self.positions)
         self._first_prims = buffers.create(device, 4 * VISIT_SAMPLES * max_pixels)
+        self._differs = buffers.create(device, max_pixels)
         self._strata = kernels.build(device, "stratify_samples.cl", features)
         self._judging = kernels.build(device, "judge_strata.cl", features)
         self._contrast = kernels.build(device, "adaptive_samples.cl", features)
@@ -99,12 +100,12 @@ class StratifiedSampler:
         shaded = (1 + VISITS_AT_ONCE) * VISIT_SAMPLES if at_worst else TYPICAL_SHADED
         visits = VISITS_AT_ONCE if at_worst else 1
         of_listed = 4 * 4 + STATE_BYTES + 8 * (1 + visits) + 1 + 4 + 1 + 4 * VISIT_SAMPLES * visits
-        return BYTES_PER_PIXEL + 4 + 4 * VISIT_SAMPLES + of_listed + shaded * (12 + Shader.bytes_per_pixel(("color",)))
+        return BYTES_PER_PIXEL + 5 + 4 * VISIT_SAMPLES + of_listed + shaded * (12 + Shader.bytes_per_pixel(("color",)))
 
     def resolve_band(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, target: Shader) -> None:
         """Replace the colour of a band in `target`, shaded at the centres, where samples are called for. Waits."""
         self.edges.start(passes, row, rows, pixel_count, self.positions)
-        self._samples.decide(passes, (0,), pixel_count, self.edges.center, self._first_prims)
+        self._samples.decide_all(passes, pixel_count, self.edges.center, self._differs, self._first_prims)
         count = passes.timed("resolve", partial(self._list_first, passes.tiles.view, pixel_count, target))
         self._count("edge_pixels", count)
         self._count("samples_shaded", pixel_count)
@@ -122,7 +123,7 @@ class StratifiedSampler:
     def _list_first(self, view: np.ndarray, pixel_count: int, target: Shader) -> int:
         self._launch(
             self._strata, "flag_surfaces", pixel_count, pixel_count=pixel_count, center_prims=self.edges.center,
-            sample_prims=self._first_prims, edge_flags=self.edges.flags, **self._ground(view),
+            differs=self._differs, sample_prims=self._first_prims, edge_flags=self.edges.flags, **self._ground(view),
         )  # fmt: skip
         self._launch(
             self._contrast, "flag_contrast", pixel_count, pixel_count=pixel_count, width=int(view["width"]),
@@ -185,7 +186,8 @@ class StratifiedSampler:
         count = self._band["count"]
         of_samples = {name: part[name] for name in ("visit_count", "stride", "visits", "sample_positions")}
         of_samples |= {
-            "first_prims": self._first_prims, "later_prims": self.edges.room("later_prims"),
+            "center_prims": self.edges.center, "differs": self._differs, "first_prims": self._first_prims,
+            "later_prims": self.edges.room("later_prims"),
             "chosen": self.edges.room("chosen", 8 * part["visit_count"] * count),
         }  # fmt: skip
         self._launch(

@@ -32,38 +32,55 @@ class ListedSamples:
         self._width = features.vector_width
         self._program = kernels.build(device, "list_samples.cl", features)
 
+    def decide_all(
+        self, passes: SamplePasses, pixel_count: int, center: cl.Buffer, differs: cl.Buffer, prims: cl.Buffer
+    ) -> None:
+        """Find what the samples of the first visit show in all pixels of the band. Waits.
+
+        center : [pixel_count] what centres show. differs : [pixel_count] uchar, 1 where a sample shows another
+        triangle. prims : [pixel_count * VISIT_SAMPLES] prim_id or NO_HIT, those of a pixel together, where it is 1.
+        """
+        self._decide(passes, (0,), pixel_count, (center, differs, prims), None, None)
+
     def decide(
         self, passes: SamplePasses, visits: Sequence[int], count: int, center: cl.Buffer, prims: cl.Buffer,
-        places: cl.Buffer | None = None, pixels: cl.Buffer | None = None,
+        places: cl.Buffer, pixels: cl.Buffer,
     ) -> None:  # fmt: skip
         """Find what the samples of some visits show: of visit v those from VISIT_SAMPLES * v on. Waits.
 
-        pixels : [count] of the band, rising. places : [pixel_count] where they stand there, or NO_HIT. None: all.
-        center : [pixel_count] what centres show. prims : [count * samples] prim_id or NO_HIT, those of a pixel
-        together, as the visits come.
+        pixels : [count] of the band, rising. places : [pixel_count] where they stand there, or NO_HIT. center :
+        [pixel_count] what is likely to be seen. prims : [count * samples] prim_id or NO_HIT, those of a pixel together,
+        as the visits come.
         """
-        if not visits:
-            return
+        if visits:
+            self._decide(passes, visits, count, (center, center, prims), places, pixels)
+
+    def _decide(
+        self, passes: SamplePasses, visits: Sequence[int], count: int, found: tuple[cl.Buffer, cl.Buffer, cl.Buffer],
+        places: cl.Buffer | None, pixels: cl.Buffer | None,
+    ) -> None:  # fmt: skip
         wanted = [self.positions[VISIT_SAMPLES * visit + k] for visit in visits for k in range(VISIT_SAMPLES)]
         if isinstance(passes.tiles, TileRasterizer) and passes.tiles.takes_samples:
-            passes.timed("visibility", partial(self._decide_lanes, passes.tiles, wanted, places, center, prims))
+            passes.timed("visibility", partial(self._decide_lanes, passes.tiles, wanted, places, found))
             passes.visits += len(visits)
             passes.listed += count * len(wanted)
             return
+        center, differs, prims = found
         for k, position in enumerate(wanted):
             passes.decide((position,))
             self._program.launch(
                 "take_samples", -(-count // LIST_CHUNK), 1, count=count, everywhere=int(pixels is None), sample=k,
                 stride=len(wanted), pixels=passes.tiles.visible_prims if pixels is None else pixels,
-                visible_prims=passes.tiles.visible_prims, sample_prims=prims,
+                visible_prims=passes.tiles.visible_prims, center_prims=center, differs=differs, sample_prims=prims,
             )  # fmt: skip
             self.launches += 1
 
     def _decide_lanes(
-        self, tiles: TileRasterizer, wanted: Sequence[Position], places: cl.Buffer | None, center: cl.Buffer,
-        prims: cl.Buffer,
+        self, tiles: TileRasterizer, wanted: Sequence[Position], places: cl.Buffer | None,
+        found: tuple[cl.Buffer, cl.Buffer, cl.Buffer],
     ) -> None:  # fmt: skip
         at_once = LANE_GROUPS * self._width
+        assert places is not None or len(wanted) <= at_once  # one launch says where samples differ
         for first in range(0, len(wanted), at_once):
             lanes = np.array(wanted[first : first + at_once], dtype=np.float32).T / UNITS
-            tiles.rasterize_samples(lanes, places, center, prims, len(wanted), first)
+            tiles.rasterize_samples(lanes, places, *found, len(wanted), first)

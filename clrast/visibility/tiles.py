@@ -250,14 +250,15 @@ class TileRasterizer:
         )  # fmt: skip
 
     def rasterize_samples(
-        self, positions: np.ndarray, places: cl.Buffer | None, center_prims: cl.Buffer, sample_prims: cl.Buffer,
-        stride: int, first: int,
+        self, positions: np.ndarray, places: cl.Buffer | None, center_prims: cl.Buffer, differs: cl.Buffer,
+        sample_prims: cl.Buffer, stride: int, first: int,
     ) -> None:  # fmt: skip
         """Decide samples of each listed pixel: entries from `first` on of its `stride` in `sample_prims`.
 
         positions : (2, n * VECTOR_WIDTH) float32, x and y of the samples in a pixel, pixels; n is at most LANE_GROUPS.
         places : [pixels of the band] where a pixel stands in the list, or NO_HIT; None lists all. The bounds have to
-        hold for the positions. center_prims : [pixels of the band] what is likely to be seen; no result depends on it.
+        hold for the positions. center_prims : [pixels of the band] what centres show. differs : [pixels of the band],
+        where all are listed: uchar, 1 where a sample shows another triangle, and only there `sample_prims` are written.
         """
         if self._sample_program is None:
             self._sample_program = kernels.build(self.device, "rasterize_samples.cl", self.features)
@@ -271,7 +272,7 @@ class TileRasterizer:
             corners=self.geometry.corners, tile_begin=self._tile_begin, reference_prims=self._reference_prims,
             reference_bounds=self._reference_bounds,
             places=self._tile_begin if places is None else places, center_prims=center_prims,
-            sample_prims=sample_prims, **self.surfaces, **counted,
+            differs=differs, sample_prims=sample_prims, **self.surfaces, **counted,
         )  # fmt: skip
         self.launches += 1
 
