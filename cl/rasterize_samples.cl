@@ -28,53 +28,15 @@
 #endif
 #include "triangle_batch.clh"
 #include "sample_blocks.clh"
+#include "listed_squares.clh"
 
 #if !FILTERED  // rungs that filter take passes over all pixels: listed_samples.py
 
-#define REFRESH_BATCHES 4    // between updates of the culling bounds
-#define WAITING_CAPACITY 256  // references that wait; where there are more, some do not
-#define SHOWN_BITS 1024       // of the set of what centres show, by the lowest bits of an id
+#define REFRESH_BATCHES 4  // between updates of the culling bounds
 #define TILE_SQUARES (1 << (TILE_LOG2 - SQUARE_LOG2))
-
-// One square: its first pixel in the tile, and which of its pixels are listed: a bit each, row by row, and their numbers.
-typedef struct {
-  int left, top;
-  ushort rows[TILE_SIZE];
-  uint count;
-  uchar blocks[TILE_BLOCKS];
-  uint shown[SHOWN_BITS / 32];  // a bit for each triangle that a listed pixel's centre shows, and some others
-} Square;
 
 // Where the lanes of a group lie in the square's first pixel, see TileFrame.
 typedef struct { float_v x, y; float left, top, right, bottom; } Lanes;
-
-// References whose bounds in the square hold a listed pixel, and room for what one more step may add.
-typedef struct {
-  uint prim_id[WAITING_CAPACITY + 2 * VECTOR_WIDTH];
-  int bounds[WAITING_CAPACITY + 2 * VECTOR_WIDTH];  // in the square: x0 | y0 << 8 | x1 << 16 | y1 << 24
-  uint count;
-} Gathered;
-
-// Looks for the square's listed pixels.
-INLINE void list_blocks(View view, int left, int top, Square *square, uint everywhere, global const uint *restrict places,
-                        global const uint *restrict center_prims) {
-  square->count = 0;
-  for (uint k = 0; k < SHOWN_BITS / 32; ++k) square->shown[k] = 0;
-  for (uint row = 0; row < TILE_SIZE; ++row) {
-    uint bits = 0;
-    const uint y = top + square->top + row, x0 = left + square->left;
-    const size_t first = (size_t)(y - (view.band_row << TILE_LOG2)) * view.width + x0;
-    if (y < view.height)
-      for (uint column = 0; column < TILE_SIZE && x0 + column < view.width; ++column)
-        if (everywhere || places[first + column] != NO_HIT) bits |= 1u << column;
-    square->rows[row] = bits;
-    for (; bits != 0; bits &= bits - 1) {
-      const uint column = 31 - clz(bits & (0 - bits)), shown = center_prims[first + column] % SHOWN_BITS;
-      square->blocks[square->count++] = row * TILE_SIZE + column;
-      square->shown[shown / 32] |= 1u << shown % 32;
-    }
-  }
-}
 
 // Sets what is found at the square's listed pixels to nothing, and the others to as near as infinity.
 INLINE void start_samples(const Square *square, TileSamples *samples) {
@@ -123,29 +85,6 @@ INLINE void take_lanes(TileFrame *frame, const Lanes *lanes) {
   frame->top = lanes->top;
   frame->right = lanes->right;
   frame->bottom = lanes->bottom;
-}
-
-// Adds those of VECTOR_WIDTH references from `first` on that meet a listed pixel to those of triangles that centres show, or
-// to those that wait.
-INLINE void gather_references(const Square *square, uint first, uint end, Gathered *shown, Gathered *waiting,
-                              global const uint *restrict reference_prims, global const uint *restrict reference_bounds) {
-  const int_v bounds = AS_INT_V(LOAD_V(reference_bounds + first));
-  const int_v x0 = clamp((bounds & 0xff) - square->left, 0, TILE_SIZE), x1 = clamp((bounds >> 16 & 0xff) - square->left, 0, TILE_SIZE);
-  const int_v y0 = clamp((bounds >> 8 & 0xff) - square->top, 0, TILE_SIZE), y1 = clamp((bounds >> 24 & 0xff) - square->top, 0, TILE_SIZE);
-  const int_v columns = ((int_v)(1) << x1) - ((int_v)(1) << x0);
-  int_v held = 0;
-  for (int row = 0; row < TILE_SIZE; ++row)
-    held |= ((row >= y0) & (row < y1)) != 0 ? columns & (int)square->rows[row] : (int_v)(0);
-  int found[VECTOR_WIDTH], packed[VECTOR_WIDTH];
-  STORE_V((held != 0) & (LANES < (int)(end - first)), found);
-  STORE_V(x0 | y0 << 8 | x1 << 16 | y1 << 24, packed);
-  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) {
-    if (!found[lane]) continue;
-    const uint prim_id = reference_prims[first + lane], bit = prim_id % SHOWN_BITS;
-    Gathered *gathered = square->shown[bit / 32] >> bit % 32 & 1 ? shown : waiting;
-    gathered->prim_id[gathered->count] = prim_id;
-    gathered->bounds[gathered->count++] = packed[lane];
-  }
 }
 
 // Sets the last VECTOR_WIDTH gathered triangles up and decides their samples.
