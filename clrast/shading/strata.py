@@ -30,9 +30,6 @@ SUMS_BYTES = 2 * 16 * STRATA
 STATE_BYTES = SUMS_BYTES + 8 * STRATA + 1
 """Device bytes of what is known of a listed pixel's strata."""
 
-EDGE_SHARE = 0.8
-"""How far shares are off, of deviation * N^(-3/4): that was measured of lines through pixels at 16 to 128 samples."""
-
 TYPICAL_SHADED = 6
 """Samples of a listed pixel shaded at once that memory is planned for where no budget is given."""
 
@@ -220,7 +217,7 @@ class StratifiedSampler:
         )  # fmt: skip
         self._launch(
             self._judging, "judge_strata", count, **self._band, pixel_count=pixel_count, width=width,
-            sample_count=float(samples), error_factor=float(np.float32(EDGE_SHARE * math.pow(samples, -0.75))),
+            sample_count=float(samples), error_factor=float(np.float32(math.pow(samples, -0.75))),
             threshold=self.threshold if samples < len(self.positions) else math.inf, deviations=self._deviations,
             values=target.values, **self._rooms("stratum_counts", "sums", "open", "keep"),
         )  # fmt: skip
