@@ -1,8 +1,9 @@
 // How far pixels' colours may be off after some samples of their surfaces, and those that are done.
 //
 // The estimates are those of stratify_samples.cl, which says what a stratum is and what is kept of it.
-//   gather_strata: colours of shaded samples, less the centre's, summed by stratum, and their squares
-//   estimate_errors, judge_strata: which pixels and strata call for more; the others' colours
+//   gather_strata: colours of shaded samples, less the centre's, summed by stratum, and their squares, and
+//   how far they vary within strata
+//   judge_strata: which pixels and strata call for more; the others' colours
 //   keep_strata: the list of those
 // Good at: lists of any length. Bad at: nothing known. Tests: tests/test_antialiasing.py.
 
@@ -14,8 +15,8 @@
 #define SUM_OF(stratum) (2 * (stratum))
 #define SQUARES_OF(stratum) (2 * (stratum) + 1)
 
-// Reads: chosen, stratum_counts (meet_strata), colors (shade_hits), values (shade_hits, at the centres). Writes: sums (for
-// estimate_errors). Work item: one listed pixel. Local memory: 0 bytes.
+// Reads: chosen, stratum_counts (meet_strata), colors (shade_hits), values (shade_hits, at the centres). Writes: sums and
+// deviations (for judge_strata). Work item: one listed pixel. Local memory: 0 bytes.
 kernel void gather_strata(
     uint count,
     uint pixel_count,                            // of the band
@@ -28,7 +29,8 @@ kernel void gather_strata(
     global const uint *restrict first_shaded,    // [count]
     global const float *restrict colors,         // [4 * listed_count] R G B A
     global const float *restrict values,         // [4 * pixel_count] at the centres
-    global float4 *restrict sums)                // [slots * 2 * STRATA] in and out
+    global float4 *restrict sums,                // [slots * 2 * STRATA] in and out
+    global float *restrict deviations)           // [pixel_count] variance within a listed pixel's strata
 {
   const uint item = get_global_id(0);
   if (item >= count) return;
@@ -51,40 +53,23 @@ kernel void gather_strata(
       found[stratum] += 1;
     }
   }
-  for (uint k = 0; k < STRATA; ++k) {
-    if (found[k] == 0) continue;
-    if (stratum_counts[STRATA * slot + k] >> 16 != found[k]) {
-      sum[k] += sums[2 * STRATA * slot + SUM_OF(k)];
-      squares[k] += sums[2 * STRATA * slot + SQUARES_OF(k)];
-    }
-    sums[2 * STRATA * slot + SUM_OF(k)] = sum[k];
-    sums[2 * STRATA * slot + SQUARES_OF(k)] = squares[k];
-  }
-}
-
-// Reads: stratum_counts (meet_strata), sums (gather_strata). Writes: deviations (for judge_strata).
-// Work item: one listed pixel. Local memory: 0 bytes.
-kernel void estimate_errors(
-    uint count,
-    global const uint *restrict pixels,          // [count]
-    global const uint *restrict slots,           // [count]
-    global const uint *restrict stratum_counts,  // [slots * STRATA]
-    global const float4 *restrict sums,          // [slots * 2 * STRATA]
-    global float *restrict deviations)           // [pixel_count] variance within a listed pixel's strata
-{
-  const uint item = get_global_id(0);
-  if (item >= count) return;
-  const size_t slot = slots[item];
-  float4 squares = (float4)(0.0f);
+  float4 within = (float4)(0.0f);
   float freedom = 0.0f;
   for (uint k = 0; k < STRATA; ++k) {
     const uint shaded = stratum_counts[STRATA * slot + k] >> 16;
+    if (shaded != found[k]) {
+      sum[k] += sums[2 * STRATA * slot + SUM_OF(k)];
+      squares[k] += sums[2 * STRATA * slot + SQUARES_OF(k)];
+    }
+    if (found[k] != 0) {
+      sums[2 * STRATA * slot + SUM_OF(k)] = sum[k];
+      sums[2 * STRATA * slot + SQUARES_OF(k)] = squares[k];
+    }
     if (shaded < 2) continue;
-    const float4 sum = sums[2 * STRATA * slot + SUM_OF(k)];
-    squares += sums[2 * STRATA * slot + SQUARES_OF(k)] - sum * (sum / (float)shaded);
+    within += squares[k] - sum[k] * (sum[k] / (float)shaded);
     freedom += (float)(shaded - 1);
   }
-  deviations[pixels[item]] = freedom > 0.0f ? max(largest_channel(squares), 0.0f) / freedom : 0.0f;
+  deviations[pixels[item]] = freedom > 0.0f ? max(largest_channel(within), 0.0f) / freedom : 0.0f;
 }
 
 // The mean variance of the listed pixels of a quad, which lies in one band: bands begin at even rows.
@@ -102,7 +87,7 @@ static inline float quad_variance(uint pixel, uint pixel_count, uint width, glob
   return sum / listed;
 }
 
-// Reads: stratum_counts, sums, deviations (estimate_errors). Writes: keep (for keep_strata), open (for meet_strata), values
+// Reads: stratum_counts, sums, deviations (gather_strata). Writes: keep (for keep_strata), open (for meet_strata), values
 // of the pixels that are done (host).
 // Work item: one listed pixel. Local memory: 0 bytes.
 kernel void judge_strata(

@@ -6,7 +6,7 @@
 // than its centre, or where colours at the centres of its quad differ much. In rounds, of N = 16, 32, 64 .. samples:
 //   meet_strata: each new sample belongs to a surface; which are shaded: the first of a surface, and of the first N/4 those
 //     whose surface is still open
-//   estimate_errors, judge_strata: of the shares   deviation between the surfaces' means * N^(-3/4)
+//   gather_strata, judge_strata: of the shares   deviation between the surfaces' means * N^(-3/4)
 //     of a surface's mean   share * half the deviation of its n colours * n^(-3/4); it is open while that is too large
 //     pixels with no such error stay out of the next round
 // N^(-3/4) is how fast the error of an edge falls when N samples are one in each of N equal squares: an edge passes about
@@ -21,7 +21,6 @@
 #include "same_surface.clh"
 
 #define FIRST_VISIT NO_HIT  // in place of a first entry: the samples that all pixels were looked at
-#define MEMORY 4  // triangles beside the first of their surfaces that a pixel remembers
 
 // What is known of a listed pixel's strata: the triangle that each was first seen by, samples that show it, of these shaded.
 typedef struct {
@@ -43,19 +42,22 @@ static inline Strata load_strata(size_t slot, global const uint *restrict prims,
 }
 
 static inline bool shows_same(const Ground *g, uint a, uint b, float x, float y) {
-  if (a == NO_HIT || b == NO_HIT) return false;
+  if (a == NO_HIT || b == NO_HIT || g->material_ids[a] != g->material_ids[b]) return false;  // before planes are computed
   const SurfacePlane first = plane_of(g, a), second = plane_of(g, b);
   return is_same_surface(g, &first, &second, x, y);
 }
 
-// Whether all samples of a visit show one triangle.
-static inline bool shows_one(global const uint *samples, uint prim_id) {
-  const uint16 found = vload16(0, samples);
-  const int16 differs = found != prim_id;
-  const int8 eight = differs.lo | differs.hi;
+// A bit for each of a visit's samples that shows a triangle.
+static inline uint samples_of(uint16 samples, uint prim_id) {
+  const int16 bits = (int16)(1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 16384, 32768);
+  const int16 found = samples == prim_id ? bits : (int16)(0);
+  const int8 eight = found.lo | found.hi;
   const int4 four = eight.lo | eight.hi;
-  return !any(four);
+  const int2 two = four.lo | four.hi;
+  return (uint)(two.x | two.y);
 }
+
+static inline uint first_bit(uint mask) { return 31 - clz(mask & (0 - mask)); }
 
 // Reads: center_prims, sample_prims (rasterize_samples). Writes: edge_flags (for flag_contrast). Work item: one pixel.
 // Local memory: 0 bytes.
@@ -92,31 +94,15 @@ kernel void flag_surfaces(
 }
 
 // The stratum of a triangle that a sample at (X, Y) shows; a new one where it is part of none and there is room.
-static inline uint find_stratum(const Ground *g, Strata *s, uint prim_id, float x, float y, uint *known,
-                                uint *known_stratum, uint *known_count) {
+static inline uint find_stratum(const Ground *g, Strata *s, uint prim_id, float x, float y) {
   for (uint k = 0; k < s->count; ++k)
     if (s->prims[k] == prim_id) return k;
-  for (uint k = 0; k < *known_count; ++k)
-    if (known[k] == prim_id) return known_stratum[k];
-  uint stratum = 0;
-  for (; stratum < s->count; ++stratum)
-    if (shows_same(g, s->prims[stratum], prim_id, x, y)) break;
-  if (stratum == s->count) {
-    if (s->count == STRATA) stratum = STRATA - 1;
-    else {
-      s->prims[s->count++] = prim_id;
-      s->covered[stratum] = s->shaded[stratum] = 0;
-      return stratum;
-    }
-  }
-  for (uint k = min(*known_count, (uint)MEMORY - 1); k > 0; --k) {
-    known[k] = known[k - 1];
-    known_stratum[k] = known_stratum[k - 1];
-  }
-  *known_count = min(*known_count + 1, (uint)MEMORY);
-  known[0] = prim_id;
-  known_stratum[0] = stratum;
-  return stratum;
+  for (uint k = 0; k < s->count; ++k)
+    if (shows_same(g, s->prims[k], prim_id, x, y)) return k;
+  if (s->count == STRATA) return STRATA - 1;
+  s->prims[s->count] = prim_id;
+  s->covered[s->count] = s->shaded[s->count] = 0;
+  return s->count++;
 }
 
 // Where the samples of a visit stand, of one pixel. Those of the first visit are not written where nothing differs.
@@ -165,34 +151,26 @@ kernel void meet_strata(
   Strata s = load_strata(slot, stratum_prims, stratum_counts);
   if (begins) s.count = 0;
   const uint is_open = begins ? (1u << STRATA) - 1 : open[slot];
-  uint known[MEMORY], known_stratum[MEMORY], known_count = 0, chosen_count = 0;
+  uint chosen_count = 0;
   for (uint visit = 0; visit < visit_count; ++visit) {
     const uint4 own = visits[visit];
     global const uint *samples = visit_samples(own, pixel, item, stride, first_prims, later_prims);
+    // Where samples do not differ from the centre they need not be looked at. All else by triangle, as they come.
+    const bool is_plain = own.x == FIRST_VISIT && !differs[pixel];
+    const uint16 shown = is_plain ? (uint16)(center_prims[pixel]) : vload16(0, samples);
     uint mask = 0, strata = 0;
-    const bool is_new = s.count == 0, is_plain = own.x == FIRST_VISIT && !differs[pixel];
-    const uint first_prim = is_plain ? center_prims[pixel] : samples[0];
-    // As below, for one triangle. Where samples do not differ the first stratum is theirs, since they were met first.
-    if (is_plain || ((is_new || s.prims[0] == first_prim) && shows_one(samples, first_prim))) {
-      if (is_new) {
-        s.prims[0] = first_prim;
-        s.count = 1;
-        s.covered[0] = s.shaded[0] = 0;
-      }
-      mask = (is_open & 1 ? own.z : 0) | (is_new ? 1 : 0);
-      s.covered[0] += own.y * VISIT_SAMPLES;
-      s.shaded[0] += popcount(mask);
-    } else {
-      for (uint k = 0; k < VISIT_SAMPLES; ++k) {
-        const uint position = sample_positions[visit * VISIT_SAMPLES + k];
-        const float x = left + (float)(position & 0xffffu) / 256.0f, y = top + (float)(position >> 16) / 256.0f;
-        const uint stratum = find_stratum(&g, &s, samples[k], x, y, known, known_stratum, &known_count);
-        s.covered[stratum] += own.y;
-        if (s.shaded[stratum] != 0 && !(own.z >> k & is_open >> stratum & 1)) continue;
-        s.shaded[stratum] += 1;
-        mask |= 1u << k;
-        strata |= stratum << 2 * k;
-      }
+    for (uint left_over = (1u << VISIT_SAMPLES) - 1; left_over != 0;) {
+      const uint k = first_bit(left_over), prim_id = is_plain ? center_prims[pixel] : samples[k];
+      const uint position = sample_positions[visit * VISIT_SAMPLES + k];
+      const float x = left + (float)(position & 0xffffu) / 256.0f, y = top + (float)(position >> 16) / 256.0f;
+      const uint stratum = find_stratum(&g, &s, prim_id, x, y), found = samples_of(shown, prim_id);
+      left_over &= ~found;
+      uint shaded = is_open >> stratum & 1 ? found & own.z : 0;
+      if (s.shaded[stratum] == 0) shaded |= 1u << k;
+      s.covered[stratum] += own.y * popcount(found);
+      s.shaded[stratum] += popcount(shaded);
+      mask |= shaded;
+      for (; shaded != 0; shaded &= shaded - 1) strata |= stratum << 2 * first_bit(shaded);
     }
     chosen[item * (size_t)visit_count + visit] = (uint2)(mask, strata);
     chosen_count += popcount(mask);
@@ -233,7 +211,7 @@ kernel void list_chosen(
       const bool is_plain = visits[visit].x == FIRST_VISIT && !differs[pixel];
       global const uint *samples = visit_samples(visits[visit], pixel, item, stride, first_prims, later_prims);
       for (uint mask = chosen[item * (size_t)visit_count + visit].x; mask != 0; mask &= mask - 1) {
-        const uint k = 31 - clz(mask & (0 - mask));
+        const uint k = first_bit(mask);
         shaded_prims[position] = is_plain ? center_prims[pixel] : samples[k];
         places[position++] = (uint2)(pixel, sample_positions[visit * VISIT_SAMPLES + k]);
       }

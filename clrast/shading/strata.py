@@ -178,7 +178,7 @@ class StratifiedSampler:
         self._launch(
             self._judging, "gather_strata", count, **self._band, pixel_count=pixel_count, listed_count=listed,
             visit_count=part["visit_count"], colors=self.shader.values, values=target.values,
-            **self._rooms("chosen", "stratum_counts", "first_shaded", "sums"),
+            deviations=self._deviations, **self._rooms("chosen", "stratum_counts", "first_shaded", "sums"),
         )  # fmt: skip
 
     def _choose(self, view: np.ndarray, part: dict[str, Any], begins: bool) -> int:
@@ -211,10 +211,6 @@ class StratifiedSampler:
     ) -> tuple[tuple[str, str], int]:
         """Finish the pixels whose error is small; returns the lists of the others, and their number. Waits."""
         count, samples = self._band["count"], VISIT_SAMPLES << round_number
-        self._launch(
-            self._judging, "estimate_errors", count, **self._band, deviations=self._deviations,
-            **self._rooms("stratum_counts", "sums"),
-        )  # fmt: skip
         self._launch(
             self._judging, "judge_strata", count, **self._band, pixel_count=pixel_count, width=width,
             sample_count=float(samples), error_factor=float(np.float32(math.pow(samples, -0.75))),
