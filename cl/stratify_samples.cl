@@ -1,9 +1,9 @@
 // Samples pixels until their estimated error is small: visibility at many samples, shading at few of each surface.
 //
 // What a pixel shows is a mean over its surfaces (strata): of each the share of the samples that show it, which needs
-// visibility alone, times the mean of its colour, which needs few samples (post-stratification). A
-// pixel begins where one of the first 16 samples of a (0,2)-sequence shows another surface
-// than its centre, or where colours at the centres of its quad differ much. In rounds, of N = 16, 32, 64 .. samples:
+// visibility alone, times the mean of its colour, which needs few samples (post-stratification). A pixel begins where one
+// of the first 16 samples of a (0,2)-sequence shows another surface than its centre, or where colours at centres about it
+// step or bend (flag_contrast). In rounds, of N = 16, 32, 64 .. samples:
 //   meet_strata: each new sample belongs to a surface; which are shaded: the first of a surface, and of the first N/4 those
 //     whose surface is still open
 //   gather_strata, judge_strata: of the shares   deviation between the surfaces' means * N^(-3/4)

@@ -36,6 +36,9 @@ TYPICAL_SHADED = 6
 VISITS_AT_ONCE = 4
 """Visits of the listed pixels whose samples are kept at once, beside the first of all pixels."""
 
+ROUNDS = 5
+"""Rounds that the pattern of auto has samples for: the last one ends with 256."""
+
 Visit = tuple[int, bool, int]
 
 
@@ -62,6 +65,12 @@ def parted(visits: list[Visit]) -> list[list[Visit]]:
     parts = [later[k : k + VISITS_AT_ONCE] for k in range(0, len(later), VISITS_AT_ONCE)] or [[]]
     parts[-1] += [visit for visit in visits if visit[0] == 0]
     return parts
+
+
+def worst_shaded() -> int:
+    """Samples of a listed pixel that may be shaded at once: those that part of a round names, and one of each stratum."""
+    parts = [part for number in range(ROUNDS) for part in parted(visits_of(number))]
+    return STRATA + max(sum(shaded.bit_count() for _, _, shaded in part) for part in parts)
 
 
 class StratifiedSampler:
@@ -97,7 +106,7 @@ class StratifiedSampler:
     @staticmethod
     def bytes_per_pixel(at_worst: bool) -> int:
         """Device bytes a pixel of a band takes here where all are listed; at_worst : and all that may be is shaded."""
-        shaded = (1 + VISITS_AT_ONCE) * VISIT_SAMPLES if at_worst else TYPICAL_SHADED
+        shaded = worst_shaded() if at_worst else TYPICAL_SHADED
         visits = VISITS_AT_ONCE if at_worst else 1
         of_listed = 4 * 4 + STATE_BYTES + 8 * (1 + visits) + 1 + 4 + 1 + 4 * VISIT_SAMPLES * visits
         return BYTES_PER_PIXEL + 5 + 4 * VISIT_SAMPLES + of_listed + shaded * (12 + Shader.bytes_per_pixel(("color",)))
