@@ -68,7 +68,7 @@ def parted(visits: list[Visit]) -> list[list[Visit]]:
 
 
 def worst_shaded() -> int:
-    """Samples of a listed pixel that may be shaded at once: those that part of a round names, and one of each stratum."""
+    """Samples of a listed pixel that may be shaded at once: what part of a round names, and one of each stratum."""
     parts = [part for number in range(ROUNDS) for part in parted(visits_of(number))]
     return STRATA + max(sum(shaded.bit_count() for _, _, shaded in part) for part in parts)
 
