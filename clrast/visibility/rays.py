@@ -298,7 +298,7 @@ class RayTracer:
         """
         made = self._make_rays(count)
         keys = {"ray_keys": buffers.create(self.device, 4 * count)}
-        self._launch(self._leaving, "leave_hits", count, **streams, **self._vertices, **made, **keys)
+        self._leave("leave_hits", count, **streams, **self._vertices, **made, **keys)
         return RayBuffers(count, made, draws={**keys, "path": path})
 
     def enqueue_leave_for_light(self, count: int, path: int, **streams: Any) -> RayBuffers:
@@ -312,7 +312,7 @@ class RayTracer:
             "ends": buffers.create(self.device, 16 * count),
             "lamp_slots": buffers.create(self.device, 4 * count),
         }
-        self._launch(self._leaving, "leave_for_light", count, **streams, **self._vertices, **made, **keys, **ends)
+        self._leave("leave_for_light", count, **streams, **self._vertices, **made, **keys, **ends)
         return RayBuffers(count, made, ends, {**keys, "path": path})
 
     def _make_rays(self, count: int) -> dict[str, cl.Buffer]:
@@ -342,8 +342,7 @@ class RayTracer:
             raise UsageError(f"rays can leave prim_id 0 to {self.geometry.triangle_count - 1}, not {prims.max()}")
         _check_directions(directions)
         origins = buffers.create(self.device, 16 * len(prims))
-        self._launch(
-            self._leaving,
+        self._leave(
             "offset_origins",
             len(prims),
             prims_left=buffers.upload(self.device, prims),
@@ -385,10 +384,12 @@ class RayTracer:
         }
         return RayBuffers(count, arguments)
 
-    def _launch(self, program: kernels.Program, kernel: str, count: int, **arguments: Any) -> None:
+    def _leave(self, kernel: str, count: int, **arguments: Any) -> None:
+        """A kernel of leave_hits.cl, whose work items take vector_width rays each."""
         if count:
-            items = -(-count // WORK_GROUP) * WORK_GROUP
-            program.launch(kernel, items, WORK_GROUP, ray_count=count, **arguments)
+            per_group = WORK_GROUP * self.features.vector_width
+            items = -(-count // per_group) * WORK_GROUP
+            self._leaving.launch(kernel, items, WORK_GROUP, ray_count=count, **arguments)
             self.launches += 1
 
 
