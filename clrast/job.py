@@ -69,7 +69,7 @@ class RenderJob:
         traces_rays = plan["secondary acceleration structure"]
         self.accelerator = options.ray_accelerator if traces_rays else None
         needs_bvh = self.method.needs_bvh or self.accelerator == "bvh"
-        hierarchy, self.times["build"] = hierarchy_of(scene) if needs_bvh else (None, 0.0)
+        hierarchy, self.times["build"] = hierarchy_of(device, scene) if needs_bvh else (None, 0.0)
         bvh = hierarchy if self.method.needs_bvh else None
         self.features = make_features(device, scene, vectors, options, plan, self.method, bvh)
         self.tile_log2 = self.features.tile_log2

@@ -31,15 +31,15 @@ drivers limit its loops, which must leave room for more than clearing and storin
 _HIERARCHIES: dict[int, tuple[weakref.ref[np.ndarray], weakref.ref[np.ndarray], Bvh, float]] = {}
 
 
-def hierarchy_of(scene: Scene) -> tuple[Bvh, float]:
+def hierarchy_of(device: Device, scene: Scene) -> tuple[Bvh, float]:
     """The BVH over a scene's triangles and the milliseconds that its build took; built once for its two arrays.
 
-    Scenes that differ in cameras or lights alone share it.
+    Scenes that differ in cameras or lights alone share it. device : the first that asks moves subtrees, see build_bvh.
     """
     found = _HIERARCHIES.get(id(scene.triangles))
     if found is None or found[0]() is not scene.triangles or found[1]() is not scene.positions:
         started = time.perf_counter()
-        bvh = build_bvh(scene.positions, scene.triangles)
+        bvh = build_bvh(scene.positions, scene.triangles, device=device)
         arrays = weakref.ref(scene.triangles), weakref.ref(scene.positions)
         found = (*arrays, bvh, 1000 * (time.perf_counter() - started))
         for key in [key for key, each in _HIERARCHIES.items() if each[0]() is None]:

@@ -89,7 +89,7 @@ def build_tracers(
     peer = None
     for _ in range(options.builds):
         started = time.perf_counter()
-        bvh = build_bvh(scene.positions, scene.triangles)
+        bvh = build_bvh(scene.positions, scene.triangles, device=device)
         times.setdefault("bvh", []).append(1000 * (time.perf_counter() - started))
         tracers["bvh"] = build_tracer(device, scene.positions, scene.triangles, bvh)
         tracers["grid"] = build_tracer(device, scene.positions, scene.triangles, wanted)

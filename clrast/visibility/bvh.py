@@ -4,10 +4,11 @@
     while more than one cluster:              agglomerative clustering, all clusters at once
         each cluster looks at its neighbours in that order and picks the one whose common box adds least
         two clusters that picked each other become one, at the place of the first
+    with a device: subtrees move to where boxes become smaller (bvh_reinsertion.py)
     the binary tree becomes one of 16 children a node at the least cost (bvh_collapse.py)
 
 Good at: any mixture of sizes, a few passes over arrays. Bad at: nothing is split, so long thin slanted triangles
-keep their large boxes. Tests: tests/test_bvh.py.
+keep their large boxes. Tests: tests/test_bvh.py, tests/test_bvh_reinsertion.py.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from clrast.errors import CapacityError, SceneError, UsageError
+from clrast.opencl.device import Device
 from clrast.opencl.layout import EMPTY_CHILD, LEAF_BIT, NODE_WIDTH
 from clrast.visibility.bvh_collapse import LEAF_COST, NODE_COST, TRIANGLE_COST, BinaryTree, WideTree, collapse
+from clrast.visibility.bvh_reinsertion import can_reinsert, reinsert_subtrees
 
 MAX_TRIANGLES = 1 << 30
 """Ids of a binary tree's nodes fit 31 bits."""
@@ -92,11 +95,12 @@ class Bvh:
         return NODE_COST + float((met * cost)[used].sum())
 
 
-def build_bvh(positions: np.ndarray, triangles: np.ndarray, max_leaf: int = 16) -> Bvh:
+def build_bvh(positions: np.ndarray, triangles: np.ndarray, max_leaf: int = 16, device: Device | None = None) -> Bvh:
     """Build the hierarchy of a scene's triangles; equal input gives equal arrays.
 
     positions : (vertex_count, 3) float32, world space, finite where a triangle uses them.
     triangles : (triangle_count, 3) uint32, indices in range. max_leaf : most triangles of a leaf.
+    device : moves subtrees, which takes as long again; without one, or where it limits loops, they stay where they are.
     Without triangles: a root without children. Raises SceneError, CapacityError or UsageError.
     """
     if max_leaf < 1:
@@ -107,6 +111,8 @@ def build_bvh(positions: np.ndarray, triangles: np.ndarray, max_leaf: int = 16) 
         return _empty_bvh()
     boxes = _triangle_boxes(positions, triangles)
     tree = _cluster(boxes)
+    if device is not None and can_reinsert(device, len(triangles)):
+        tree = reinsert_subtrees(device, tree, _scaled(boxes), max_leaf)
     wide = collapse(tree, max_leaf)
     return Bvh(wide.children, wide.counts, _child_boxes(boxes, wide), wide.prims, wide.levels)
 
@@ -163,6 +169,11 @@ def _morton_order(boxes: np.ndarray) -> np.ndarray:
     return (keys & np.uint64((1 << index_bits) - 1)).astype(np.int64)
 
 
+def _scaled(boxes: np.ndarray) -> np.ndarray:
+    """Boxes scaled by a power of two to within -1 and 1, so that no area overflows."""
+    return np.ldexp(boxes, -int(np.frexp(np.abs(boxes).max())[1]))
+
+
 def _half_areas(boxes: np.ndarray) -> np.ndarray:
     """Half the surface of boxes given as (6, count) float32: min x, y, z, then max x, y, z negated."""
     x, y, z = boxes[:3] + boxes[3:]  # the extents negated: products of two have the right sign
@@ -173,9 +184,7 @@ def _cluster(triangle_boxes: np.ndarray) -> BinaryTree:
     """The binary tree over triangles; triangle_boxes : (6, triangle_count) float32."""
     count = triangle_boxes.shape[1]
     ids = _morton_order(triangle_boxes)
-    # Scaled by a power of two so that no area overflows; the maximum negated, so that a union is six minima.
-    exponent = int(np.frexp(np.abs(triangle_boxes).max())[1])
-    boxes = np.ldexp(triangle_boxes[:, ids], -exponent)
+    boxes = _scaled(triangle_boxes).take(ids, axis=1)  # the maximum negated, so that a union is six minima
     np.negative(boxes[3:], out=boxes[3:])
     left, right, counts = (np.zeros(count - 1, dtype=np.int32) for _ in range(3))
     areas = np.zeros(2 * count - 1, dtype=np.float32)

@@ -110,7 +110,7 @@ def make_tracer(
     used = positions[np.unique(triangles)]
     if not (np.abs(used) <= MAX_COORDINATE).all():
         raise SceneError(f"a vertex lies farther than {MAX_COORDINATE:.0e} from 0, too far for rays: scale the scene")
-    return build_tracer(device, positions, triangles, grid or bvh or build_bvh(positions, triangles))
+    return build_tracer(device, positions, triangles, grid or bvh or build_bvh(positions, triangles, device=device))
 
 
 def build_tracer(
