@@ -1,6 +1,6 @@
 // Traces arrays of any rays through a scene: the closest hit, and any hit.
 //
-// One work item is RAYS_OF_ITEM rays, which walk the scene's acceleration structure and test the leaves that they come to:
+// One work item is rays_per_item rays, which walk the scene's acceleration structure and test the leaves that they come to:
 //   a BVH (walk_hierarchy.clh) where triangles lie in the order of its leaves: LEAF_ORDER
 //   a uniform grid (walk_grid.clh) elsewhere
 // What is hit is decided by the leaves' test alone (leaf_hits.clh), so both give the same bits.
@@ -24,9 +24,10 @@
 #endif
 
 // Reads: corners (prepare_triangles), the hierarchy or the grid's cells (host), blocks (pack_leaves). Writes: prims_hit,
-// distances, weights (for arrive, offset_origins and the host). Work item: RAYS_OF_ITEM rays. Local memory: 0 bytes.
+// distances, weights (for arrive, offset_origins and the host). Work item: rays_per_item rays. Local memory: 0 bytes.
 kernel void trace_closest(
     uint ray_count,
+    uint rays_per_item,
     global const float4 *restrict origins,     // [ray_count] xyz world space, w t_min, exclusive, not negative
     global const float4 *restrict directions,  // [ray_count] xyz, any length within 2^-60 .. 2^60, w t_max, exclusive
     global const uint *restrict excluded,      // [ray_count] prim_id that the ray does not meet, or NO_HIT
@@ -60,7 +61,7 @@ kernel void trace_closest(
     global float2 *restrict distances,         // [ray_count] t (+inf: no hit), bound of its error
     global float4 *restrict weights)           // [ray_count] barycentrics b0 b1 b2 in the order of indices, w 0
 {
-  const uint first = get_global_id(0) * RAYS_OF_ITEM;
+  const uint first = get_global_id(0) * rays_per_item;
   if (first >= ray_count) return;
   const Accelerator a = {
       {blocks, corners, prims
@@ -79,13 +80,14 @@ kernel void trace_closest(
                      ray_keys, path,
 #endif
                      prims_hit, distances, weights, 0};
-  trace_rays(&a, &rays, first, min(first + RAYS_OF_ITEM, ray_count), false);
+  trace_rays(&a, &rays, first, min(first + rays_per_item, ray_count), false);
 }
 
 // Reads: corners (prepare_triangles), the hierarchy or the grid's cells (host), blocks (pack_leaves), ends, lamp_slots
-// (leave_for_light). Writes: occluded (for add_light and the host). Work item: RAYS_OF_ITEM rays. Local memory: 0 bytes.
+// (leave_for_light). Writes: occluded (for add_light and the host). Work item: rays_per_item rays. Local memory: 0 bytes.
 kernel void trace_any(
     uint ray_count,
+    uint rays_per_item,
     global const float4 *restrict origins,     // [ray_count] xyz world space, w t_min, exclusive, not negative
     global const float4 *restrict directions,  // [ray_count] xyz, any length within 2^-60 .. 2^60, w t_max, exclusive
     global const uint *restrict excluded,      // [ray_count] prim_id that the ray does not meet, or NO_HIT
@@ -119,7 +121,7 @@ kernel void trace_any(
 #endif
     global uint *restrict occluded)            // [ray_count] 1: something is hit, else 0
 {
-  const uint first = get_global_id(0) * RAYS_OF_ITEM;
+  const uint first = get_global_id(0) * rays_per_item;
   if (first >= ray_count) return;
   const Accelerator a = {
       {blocks, corners, prims
@@ -138,5 +140,5 @@ kernel void trace_any(
                      ray_keys, path,
 #endif
                      0, 0, 0, occluded};
-  trace_rays(&a, &rays, first, min(first + RAYS_OF_ITEM, ray_count), true);
+  trace_rays(&a, &rays, first, min(first + rays_per_item, ray_count), true);
 }

@@ -126,9 +126,6 @@ MAX_LISTED = 64
 LIST_WORDS = 10
 """Words of each of them."""
 
-RAYS_PER_ITEM = 64
-"""Rays of any origin and direction that one work item traces."""
-
 LEAF_SLOT_LOG2 = 27
 LEAF_SLOT = (1 << LEAF_SLOT_LOG2) - 1
 """Of such a leaf: the bits of its first block."""

@@ -17,7 +17,7 @@ from clrast.errors import DeviceError, SceneError, UsageError
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features, Precision, Projection
-from clrast.opencl.layout import BLOCK_LANES, MAX_LISTED, NO_HIT, RAYS_PER_ITEM
+from clrast.opencl.layout import BLOCK_LANES, MAX_LISTED, NO_HIT
 from clrast.opencl.runtimes import PREFETCHING
 from clrast.visibility.bvh import Bvh, build_bvh
 from clrast.visibility.geometry import Geometry, build_geometry
@@ -30,6 +30,12 @@ if TYPE_CHECKING:
     import pyopencl as cl
 
 WORK_GROUP = 16
+
+MIN_RAYS_PER_ITEM, MAX_RAYS_PER_ITEM = 64, 512
+"""Rays that one work item traces: the more, the less its last ones wait for each other alone. 64 cost a tenth."""
+
+ITEMS_PER_UNIT = 16
+"""Work items for each processor, as long as they have MIN_RAYS_PER_ITEM rays, so that all are done together."""
 
 MIN_STACK = 15
 """Levels of a ray's stack at least, so that all but the deepest hierarchies share one program."""
@@ -282,14 +288,21 @@ class RayTracer:
         masks = {"indices": self.geometry.indices, **self._masks} if self._masks else {}
         draws = rays.draws if self.features.alpha_blend and self.features.indirect else {}
         arguments = {**rays.arguments, **self._scene, **masks, **draws, **others}
-        width = self.features.vector_width
-        per_item, group = (RAYS_PER_ITEM, 1) if width > 1 else (1, WORK_GROUP)
-        if self.is_listed:
-            per_item, group = width, WORK_GROUP
         if rays.count:
+            per_item, group = self._rays_per_item(rays.count)
             items = -(-rays.count // (per_item * group)) * group
+            if not self.is_listed:
+                arguments["rays_per_item"] = per_item
             self._program.launch(kernel, items, group, ray_count=rays.count, **arguments)
             self.launches += 1
+
+    def _rays_per_item(self, count: int) -> tuple[int, int]:
+        """Rays of a work item, and work items of a group."""
+        width = self.features.vector_width
+        if width == 1 or self.is_listed:
+            return width, WORK_GROUP
+        share = count // (ITEMS_PER_UNIT * self.device.compute_units)
+        return max(MIN_RAYS_PER_ITEM, min(MAX_RAYS_PER_ITEM, share)), 1
 
     def enqueue_leave(self, count: int, path: int, **streams: Any) -> RayBuffers:
         """Enqueue leave_hits, which see: rays on the device that go on from items of streams.
