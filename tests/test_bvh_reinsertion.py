@@ -149,6 +149,7 @@ def test_a_subtree_moves_to_the_best_of_all_places(device: Device, seed: int, mo
     tree, boxes = random_tree(count, seed)
     monkeypatch.setattr(bvh_reinsertion, "LIGHT", 0.5)
     monkeypatch.setattr(bvh_reinsertion, "ROUNDS", 1)
+    monkeypatch.setattr(bvh_reinsertion, "BUDGET", 1000)
     root, moves = nest_of(tree, 2 * count - 2), 0
     for id_ in range(2 * count - 2):
         monkeypatch.setattr(bvh_reinsertion, "_largest", lambda *_, id_=id_: np.array([id_], np.uint32))
@@ -165,7 +166,7 @@ def test_moves_reach_what_no_move_betters(device: Device, monkeypatch: pytest.Mo
     """After enough rounds no subtree has a better place than its own."""
     count = 16
     tree, boxes = random_tree(count, 5)
-    for name, value in (("ROUNDS", 20), ("LIGHT", 0.5), ("SHARE", 1.0)):
+    for name, value in (("ROUNDS", 20), ("LIGHT", 0.5), ("SHARE", 1.0), ("BUDGET", 1000)):
         monkeypatch.setattr(bvh_reinsertion, name, value)
     after = reinsert_subtrees(device, tree, boxes, FEW)
     root = nest_of(after, 2 * count - 2)
@@ -183,7 +184,7 @@ def test_moves_reach_what_no_move_betters(device: Device, monkeypatch: pytest.Mo
 def test_a_spent_budget_leaves_a_whole_tree(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     before, boxes = binary_tree("small clustered")
     costs = []
-    for budget in (0, 1, 64):
+    for budget in (0, 1, 16):
         monkeypatch.setattr(bvh_reinsertion, "BUDGET", budget)
         after = reinsert_subtrees(device, before, boxes, 16)
         check_binary(after, boxes)
