@@ -15,7 +15,7 @@ from clrast.visibility.loop_limits import loop_limit
 ROUNDS = 2
 """How often subtrees are moved: the second round brings a quarter of what the first does."""
 
-SHARE = 0.5
+SHARE = 0.3
 """Of all nodes, the largest, are moved, as far as the budget goes; the others bring little."""
 
 LIGHT = 0.7
@@ -23,8 +23,8 @@ LIGHT = 0.7
 has leaves there. With 1, large triangles are strung along the way to the root, each at a node of its own: of a scene of
 small objects and 60 triangles across all of them rays met 8.6 leaves, not 3.4."""
 
-BUDGET = 16
-"""Nodes that are looked at in a round, at most, for each triangle: the whole then takes about as long as clustering."""
+BUDGET = 12
+"""Nodes that are looked at in a round, at most, for each triangle: a build of a million then takes no more than twice as long."""
 
 MAX_DEEPENING = 2
 """How much deeper than it was, and than the logarithm of its triangles, a tree may become."""
