@@ -24,7 +24,8 @@ has leaves there. With 1, large triangles are strung along the way to the root, 
 small objects and 60 triangles across all of them rays met 8.6 leaves, not 3.4."""
 
 BUDGET = 12
-"""Nodes that are looked at in a round, at most, for each triangle: a build of a million then takes no more than twice as long."""
+"""Nodes that are looked at in a round, at most, for each triangle: of a million the build then takes up to twice as
+long."""
 
 MAX_DEEPENING = 2
 """How much deeper than it was, and than the logarithm of its triangles, a tree may become."""
