@@ -1,6 +1,6 @@
 // Traces arrays of any rays through a scene of a few triangles, each ray against each: the bits of trace_rays.cl.
 //
-// One work item is VECTOR_WIDTH rays. All triangles are met (triangle_list.clh); then
+// Lanes are rays. All triangles are met (triangle_list.clh); then
 //   closest hit: one triangle is surely met, and surely before all others: its t and weights are found, by the formulas of
 //                the leaves (intersect_triangle.clh), a lane for each ray
 //   any hit:     something is surely met before the ray's end, or surely nothing is
@@ -77,11 +77,37 @@ INLINE void meet_lamps(global const float *list, const ListedRays *at, uint_v la
   }
 }
 
-INLINE void load_listed(const TriangleList *list, const Rays *rays, uint first, uint count, ListedRays *at, Vec3 *origin,
-                        float_v *t_min, float_v *t_max) {
-  *origin = load_points(rays->origins, first, count, t_min);
-  const Vec3 direction = load_points(rays->directions, first, count, t_max);
-  place_rays(list, *origin, direction, at);
+// Whether rays meet something before their end: 1 or 0 into `occluded` of `count` rays. items: theirs, the last filled up.
+INLINE void stop_rays(const TriangleList *list, const Leaves *leaves, const Rays *rays, const uint *items, uint count) {
+  ListedRays at;
+  float_v t_min, t_max;
+  const Vec3 origin = gather_points(rays->origins, items, &t_min), direction = gather_points(rays->directions, items, &t_max);
+  place_rays(list, origin, direction, &at);
+  const uint_v left = gather_words(rays->excluded, items);
+  const uint_v lamps = rays->ends ? gather_words(rays->lamp_slots, items) : (uint_v)(NO_HIT);
+  const int_v has_lamp = lamps != (uint_v)(NO_HIT), from_start = t_min == 0.0f;
+  // Hits end at t_max; where there is a lamp at that, whatever t_max is. Where none is surely met the leaves' test decides.
+  float_v end_low = t_max, end_high = t_max;
+  int_v in_doubt = from_start == 0, stops = in_doubt & 0;
+  meet_lamps(list->triangles, &at, lamps, &end_low, &end_high, &in_doubt);
+  for (uint slot = 0; slot < list->triangle_count; ++slot) {
+    global const float *triangle = list->triangles + LIST_WORDS * slot;
+    ListedHits found;
+    if (!meet_listed(triangle, &at, &found)) continue;
+    const int_v missed = found.missed | (has_lamp & (lamps == (uint_v)(slot))) | (left == (uint_v)(as_uint(triangle[9])));
+    const int_v is_behind = found.is_known & (found.below.x >= end_high * found.below.y);
+    const int_v counts = (missed | is_behind) == 0, surely = found.met & (found.above.x < end_low * found.above.y);
+    stops |= counts & surely;
+    in_doubt |= counts & (surely == 0);
+  }
+  stops &= from_start;
+  int is_open[VECTOR_WIDTH], stopped[VECTOR_WIDTH];
+  STORE_V(in_doubt & (stops == 0), is_open);
+  STORE_V(stops, stopped);
+  for (uint lane = 0; lane < count; ++lane) {
+    if (is_open[lane]) meet_all(leaves, rays, list->triangle_count, items[lane], true);
+    else rays->occluded[items[lane]] = stopped[lane] != 0;
+  }
 }
 
 // Reads: list_edges, list (host), blocks (pack_leaves), corners (prepare_triangles). Writes: prims_hit, distances, weights (for
@@ -108,9 +134,9 @@ kernel void trace_closest(
   const Rays rays = {origins, directions, excluded, 0, 0, prims_hit, distances, weights, 0};
   const TriangleList all = {list_edges, list, edge_count, triangle_count};
   ListedRays at;
-  Vec3 origin;
   float_v t_min, t_max;
-  load_listed(&all, &rays, first, ray_count, &at, &origin, &t_min, &t_max);
+  const Vec3 origin = load_points(origins, first, ray_count, &t_min), direction = load_points(directions, first, ray_count, &t_max);
+  place_rays(&all, origin, direction, &at);
   const uint_v left = load_words(excluded, first, ray_count);
 
   // The best hit that is surely met, and the least t of what may be met and is neither surely behind it nor itself.
@@ -154,9 +180,10 @@ kernel void trace_closest(
 }
 
 // Reads: list_edges, list (host), blocks (pack_leaves), corners (prepare_triangles), ends, lamp_slots (leave_for_light).
-// Writes: occluded (for add_light and the host). Work item: VECTOR_WIDTH rays. Local memory: 0 bytes.
+// Writes: occluded (for add_light and the host). Work item: rays_per_item rays. Local memory: 0 bytes.
 kernel void trace_any(
     uint ray_count,
+    uint rays_per_item,
     uint triangle_count,
     uint edge_count,
     global const float4 *restrict origins,     // [ray_count] xyz world space, w t_min, exclusive, not negative
@@ -171,41 +198,21 @@ kernel void trace_any(
     global const uint *restrict prims,         // [triangle_count] prim_id of each slot
     global uint *restrict occluded)            // [ray_count] 1: something is hit, else 0
 {
-  const uint first = get_global_id(0) * VECTOR_WIDTH;
+  const uint first = get_global_id(0) * rays_per_item;
   if (first >= ray_count) return;
   const Leaves leaves = {blocks, corners, prims};
   const Rays rays = {origins, directions, excluded, ends, lamp_slots, 0, 0, 0, occluded};
   const TriangleList all = {list_edges, list, edge_count, triangle_count};
-  ListedRays at;
-  Vec3 origin;
-  float_v t_min, t_max;
-  load_listed(&all, &rays, first, ray_count, &at, &origin, &t_min, &t_max);
-  const uint_v left = load_words(excluded, first, ray_count);
-  const uint_v lamps = ends ? load_words(lamp_slots, first, ray_count) : (uint_v)(NO_HIT);
-  const int_v has_lamp = lamps != (uint_v)(NO_HIT), from_start = t_min == 0.0f;
-
-  // Hits end at t_max; where there is a lamp at that, whatever t_max is. Where none is surely met the leaves' test decides.
-  float_v end_low = t_max, end_high = t_max;
-  int_v in_doubt = from_start == 0, stops = in_doubt & 0;
-  meet_lamps(list, &at, lamps, &end_low, &end_high, &in_doubt);
-  const int_v is_empty = (t_max <= t_min) & (has_lamp == 0);
-  for (uint slot = 0; slot < triangle_count; ++slot) {
-    global const float *triangle = list + LIST_WORDS * slot;
-    ListedHits found;
-    if (!meet_listed(triangle, &at, &found)) continue;
-    const int_v missed = found.missed | (has_lamp & (lamps == (uint_v)(slot))) | (left == (uint_v)(as_uint(triangle[9])));
-    const int_v is_behind = found.is_known & (found.below.x >= end_high * found.below.y);
-    const int_v counts = (missed | is_behind) == 0, surely = found.met & (found.above.x < end_low * found.above.y);
-    stops |= counts & surely;
-    in_doubt |= counts & (surely == 0);
-  }
-  stops &= from_start & (is_empty == 0);
-  const int_v passes = is_empty | ((in_doubt | stops) == 0);
-  int passed[VECTOR_WIDTH], stopped[VECTOR_WIDTH];
-  STORE_V(passes, passed);
-  STORE_V(stops, stopped);
-  for (uint lane = 0; lane < min(ray_count - first, (uint)VECTOR_WIDTH); ++lane) {
-    if (passed[lane] || stopped[lane]) occluded[first + lane] = stopped[lane] != 0;
-    else meet_all(&leaves, &rays, triangle_count, first + lane, true);
+  // Of paths every other item has no ray to a light: those that there are fill vectors.
+  const uint end = min(first + rays_per_item, ray_count);
+  uint items[VECTOR_WIDTH], waiting = 0;
+  for (uint ray = first; ray < end; ++ray) {
+    const bool is_there = origins[ray].w < directions[ray].w || (ends && lamp_slots[ray] != NO_HIT);
+    if (is_there) items[waiting++] = ray;
+    else occluded[ray] = 0;
+    if (waiting == 0 || (waiting < VECTOR_WIDTH && ray + 1 < end)) continue;
+    for (uint lane = waiting; lane < VECTOR_WIDTH; ++lane) items[lane] = items[waiting - 1];
+    stop_rays(&all, &leaves, &rays, items, waiting);
+    waiting = 0;
   }
 }

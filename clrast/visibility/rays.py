@@ -289,17 +289,19 @@ class RayTracer:
         draws = rays.draws if self.features.alpha_blend and self.features.indirect else {}
         arguments = {**rays.arguments, **self._scene, **masks, **draws, **others}
         if rays.count:
-            per_item, group = self._rays_per_item(rays.count)
-            items = -(-rays.count // (per_item * group)) * group
-            if not self.is_listed:
+            if self.is_listed and kernel == "trace_closest":
+                per_item, group = self.features.vector_width, WORK_GROUP
+            else:
+                per_item, group = self._rays_per_item(rays.count)
                 arguments["rays_per_item"] = per_item
+            items = -(-rays.count // (per_item * group)) * group
             self._program.launch(kernel, items, group, ray_count=rays.count, **arguments)
             self.launches += 1
 
     def _rays_per_item(self, count: int) -> tuple[int, int]:
         """Rays of a work item, and work items of a group."""
         width = self.features.vector_width
-        if width == 1 or self.is_listed:
+        if width == 1:
             return width, WORK_GROUP
         share = count // (ITEMS_PER_UNIT * self.device.compute_units)
         return max(MIN_RAYS_PER_ITEM, min(MAX_RAYS_PER_ITEM, share)), 1
