@@ -27,7 +27,8 @@ from clrast.opencl.device import Device
 from clrast.opencl.layout import LIST_WORDS, MAX_LISTED, NO_HIT
 from clrast.visibility import rays as rays_module
 from clrast.visibility.loop_limits import loop_limit
-from clrast.visibility.rays import RayBuffers, RayTracer, make_tracer
+from clrast.visibility.ray_arrays import RayBuffers
+from clrast.visibility.rays import RayTracer, make_tracer
 from clrast.visibility.triangle_list import NOTHING_MET, list_triangles
 
 

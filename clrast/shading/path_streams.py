@@ -16,7 +16,8 @@ from clrast.opencl.constants import LIST_CHUNK
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
 from clrast.shading.sample_lists import FlagList, Room
-from clrast.visibility.rays import RayBuffers, RayTracer
+from clrast.visibility.ray_arrays import RayBuffers
+from clrast.visibility.rays import RayTracer
 
 if TYPE_CHECKING:
     import pyopencl as cl

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +22,14 @@ from clrast.visibility.bvh import Bvh, build_bvh
 from clrast.visibility.geometry import Geometry, build_geometry
 from clrast.visibility.leaf_blocks import BLOCK_BYTES, leaf_blocks
 from clrast.visibility.loop_limits import loop_limit
+from clrast.visibility.ray_arrays import (
+    MAX_COORDINATE,
+    RayBuffers,
+    RayHits,
+    as_vectors,
+    check_directions,
+    padded,
+)
 from clrast.visibility.ray_grid import GridRequest, RayGrid, build_ray_grid
 from clrast.visibility.triangle_list import list_triangles
 
@@ -39,42 +46,6 @@ ITEMS_PER_UNIT = 16
 
 MIN_STACK = 15
 """Levels of a ray's stack at least, so that all but the deepest hierarchies share one program."""
-
-MAX_COORDINATE = 2.0**60
-"""Of vertices and origins: products of three stay in float32's range."""
-
-MIN_DIRECTION, MAX_DIRECTION = 2.0**-60, 2.0**60
-"""Of a direction's largest component."""
-
-
-@dataclass(frozen=True)
-class RayHits:
-    """What rays hit first.
-
-    prim_id : (ray_count,) uint32, NO_HIT where there is nothing.
-    t : (ray_count,) float32, in lengths of the direction; +inf where there is nothing.
-    t_error : (ray_count,) float32, how far at most t is from its value in real arithmetic; 0 where there is nothing.
-    barycentrics : (ray_count, 3) float32, weights of vertices 0, 1, 2, not negative; 0 where there is nothing.
-    """
-
-    prim_id: np.ndarray
-    t: np.ndarray
-    t_error: np.ndarray
-    barycentrics: np.ndarray
-
-
-@dataclass(frozen=True)
-class RayBuffers:
-    """Rays on the device. arguments : origins, directions and excluded, as the kernels of trace_rays.cl take them.
-
-    ends : of rays that look for light ends and lamp_slots, as trace_any takes them; empty where t_max alone counts.
-    draws : of rays of paths what says which panes they pass, ray_keys and path; or empty.
-    """
-
-    count: int
-    arguments: dict[str, cl.Buffer]
-    ends: dict[str, cl.Buffer] = field(default_factory=dict)
-    draws: dict[str, Any] = field(default_factory=dict)
 
 
 def ray_features(device: Device, bvh: Bvh | None, **masks: Any) -> Features:
@@ -351,18 +322,18 @@ class RayTracer:
         UsageError for a prim_id that is none, and SceneError for a triangle without area.
         """
         prims = np.ascontiguousarray(prim_id, dtype=np.uint32)
-        directions = _vectors("directions", directions, len(prims))
-        weights = _vectors("barycentrics", barycentrics, len(prims))
+        directions = as_vectors("directions", directions, len(prims))
+        weights = as_vectors("barycentrics", barycentrics, len(prims))
         if len(prims) and int(prims.max()) >= self.geometry.triangle_count:
             raise UsageError(f"rays can leave prim_id 0 to {self.geometry.triangle_count - 1}, not {prims.max()}")
-        _check_directions(directions)
+        check_directions(directions)
         origins = buffers.create(self.device, 16 * len(prims))
         self._leave(
             "offset_origins",
             len(prims),
             prims_left=buffers.upload(self.device, prims),
-            weights=buffers.upload(self.device, _padded(weights, 0.0)),
-            directions=buffers.upload(self.device, _padded(directions, 0.0)),
+            weights=buffers.upload(self.device, padded(weights, 0.0)),
+            directions=buffers.upload(self.device, padded(directions, 0.0)),
             **self._vertices,
             origins=origins,
         )
@@ -381,10 +352,10 @@ class RayTracer:
     ) -> RayBuffers:
         """Rays on the device; arguments and errors as of `closest`."""
         count = len(origins)
-        origins, directions = _vectors("origins", origins, count), _vectors("directions", directions, count)
+        origins, directions = as_vectors("origins", origins, count), as_vectors("directions", directions, count)
         if not (np.abs(origins) <= MAX_COORDINATE).all():
             raise UsageError(f"an origin of a ray lies farther than {MAX_COORDINATE:.0e} from 0: scale the scene")
-        _check_directions(directions)
+        check_directions(directions)
         low, high = np.asarray(t_min, dtype=np.float32), np.asarray(t_max, dtype=np.float32)
         if not (low >= 0).all() or np.isnan(high).any():
             raise UsageError("t_min of a ray must be 0 or more, and t_max a number")
@@ -393,8 +364,8 @@ class RayTracer:
         if len(excluded) != count:
             raise UsageError(f"{count} rays need as many excluded prim_ids, not {len(excluded)}")
         arguments = {
-            "origins": buffers.upload(self.device, _padded(origins, low)),
-            "directions": buffers.upload(self.device, _padded(directions, high)),
+            "origins": buffers.upload(self.device, padded(origins, low)),
+            "directions": buffers.upload(self.device, padded(directions, high)),
             "excluded": buffers.upload(self.device, np.ascontiguousarray(excluded, dtype=np.uint32)),
         }
         return RayBuffers(count, arguments)
@@ -406,24 +377,3 @@ class RayTracer:
             items = -(-count // per_group) * WORK_GROUP
             self._leaving.launch(kernel, items, WORK_GROUP, ray_count=count, **arguments)
             self.launches += 1
-
-
-def _vectors(name: str, values: Any, count: int) -> np.ndarray:
-    found = np.asarray(values, dtype=np.float32)
-    if found.shape != (count, 3):
-        raise UsageError(f"{name} of {count} rays are {count} x 3 numbers, not {' x '.join(map(str, found.shape))}")
-    return found
-
-
-def _check_directions(directions: np.ndarray) -> None:
-    size = np.abs(directions).max(axis=1, initial=0.0)
-    if not ((size >= MIN_DIRECTION) & (size <= MAX_DIRECTION)).all():
-        raise UsageError(f"a ray's direction must have a size within {MIN_DIRECTION:.0e} and {MAX_DIRECTION:.0e}")
-
-
-def _padded(vectors: np.ndarray, last: Any) -> np.ndarray:
-    """(count, 4) float32: vectors, and `last` beside them."""
-    out = np.zeros((len(vectors), 4), dtype=np.float32)
-    out[:, :3] = vectors
-    out[:, 3] = last
-    return out
