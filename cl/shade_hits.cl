@@ -219,7 +219,8 @@ kernel void shade_hits(
   Hits hits;
   const bool has_place = SECONDARY || LIT || (layer == 0 &&
       (planes.depth != PLANE_NONE || planes.distance != PLANE_NONE || planes.position != PLANE_NONE));
-  find_hits(view, &s, has_place, footprint, positions, indices, normals, &hits);
+  if (meets) find_hits(view, &s, has_place, footprint, positions, indices, normals, &hits);
+  else find_nothing(&hits);
   if (layer == 0) {
     store_geometry(&out, planes, &s, &hits, uv);
     if (planes.id != PLANE_NONE) store_ids(&s, object_ids, material_ids, ids + first, pixel_count);

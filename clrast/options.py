@@ -40,9 +40,9 @@ METHODS = AVAILABLE_METHODS
 AUTO_ACCELERATOR = "bvh"
 """Of secondary rays where --accelerator does not say.
 
-On three scenes of 69,000 to 330,000 triangles the grid took 2.6 to 3.0 times as long for closest hits and 3.0 to 6.8
-times for any hit (tools/bench_rays.py). It is built in four tenths of the time, which pays where all frames of a scene
-together have less than about two rays a triangle.
+On three scenes of 69,000 to 330,000 triangles the grid took 3.3 to 3.6 times as long for closest hits and 3.4 to 7.3
+times for any hit (tools/bench_rays.py). It is built in three tenths of the time, which pays where all frames of a scene
+together have less than about three rays a triangle.
 """
 GRID_METHODS = tuple(name for name, row in METHOD_TABLE.items() if row.grid)
 SHADING_RATES = ("pixel", "sample", "auto")

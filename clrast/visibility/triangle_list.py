@@ -9,10 +9,10 @@ from clrast.opencl.layout import LIST_WORDS
 UNIT = 2.0**-24
 
 EDGE_DOUBT = 64 * UNIT
-"""LIST_EDGE: of an edge's 1-norm."""
+"""Of an edge's 1-norm."""
 
 AREA_DOUBT = 512 * UNIT
-"""LIST_AREA: of the square of the longest component of a triangle's edges."""
+"""Of the square of the longest component of a triangle's edges; both are derived in cl/triangle_list.clh."""
 
 LEAST_EDGE = 2.0**-40
 """Doubts are those of edges of this length at least, so that they hold what underflow takes."""
