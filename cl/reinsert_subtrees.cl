@@ -14,16 +14,6 @@
 
 #define NOWHERE 0xffffffffu
 
-// A triangle, or an inner node: its box, ids, and the triangles in it.
-typedef struct {
-  float low[3];
-  uint left;
-  float high[3];           // negated
-  uint right;
-  uint parent;             // the root's: NOWHERE
-  uint count;
-} TreeNode;
-
 typedef struct {
   global TreeNode *nodes;  // [2 * triangle_count - 1] triangles first
   global uint *waiting;    // [triangle_count] nodes whose children are still to be looked at

@@ -24,9 +24,6 @@
 #include "scattered_rays.clh"
 #include "light_rays.clh"
 
-#define HAS_LIGHT_RAY 1u
-#define HAS_OWN_LIGHT 2u
-
 // The rays that leave items. w of origins 0; w of directions: t_max, 0 where there is nothing to meet.
 typedef struct { global float4 *origins, *directions; } LeavingRays;
 

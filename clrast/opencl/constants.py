@@ -201,6 +201,10 @@ SURFACE_UNKNOWN = 254
 """Of a coverage sample: no known triangle covers it."""
 SURFACE_NOTHING = 255
 
+HAS_LIGHT_RAY = 1
+HAS_OWN_LIGHT = 2
+"""Bits of what light an item of a path may bring: shade_paths.cl."""
+
 STRATA = 4
 """Surfaces of a pixel whose samples auto keeps apart; the last one takes what the others do not."""
 

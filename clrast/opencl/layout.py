@@ -133,9 +133,21 @@ GRID = np.dtype(
 )
 """A uniform grid, without its lists."""
 
+TREE_NODE = np.dtype(
+    [
+        ("low", "<f4", 3),
+        ("left", "<u4"),
+        ("high", "<f4", 3),  # negated
+        ("right", "<u4"),
+        ("parent", "<u4"),  # the root's: NOWHERE of cl/reinsert_subtrees.cl
+        ("count", "<u4"),  # triangles
+    ]
+)
+"""A triangle, or an inner node of a binary tree over triangles: its box, ids, and the triangles in it."""
+
 STRUCTS = {
     "View": VIEW, "Camera": CAMERA, "Grid": GRID, "Material": MATERIAL, "Texture": TEXTURE, "Light": LIGHT,
-    "Planes": PLANES,
+    "Planes": PLANES, "TreeNode": TREE_NODE,
 }  # fmt: skip
 
 CONSTANTS: dict[str, int | float] = {

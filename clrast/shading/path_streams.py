@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clrast.opencl import buffers, kernels
-from clrast.opencl.constants import LIST_CHUNK
+from clrast.opencl.constants import HAS_LIGHT_RAY, LIST_CHUNK
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
 from clrast.shading.sample_lists import FlagList, Room
@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     import pyopencl as cl
 
 WORK_GROUP = 16
-
-LIGHT_RAY = 1
-"""The bit of slot_kinds that says so, HAS_LIGHT_RAY of shade_paths.cl."""
-
 
 class PathStreams:
     """Traces paths. `launches` : kernels launched, those of the tracer and the lists apart.
@@ -111,7 +107,7 @@ class PathStreams:
         )  # fmt: skip
         if self.casts_shadows:
             with buffers.mapped(self.device, lit["slot_kinds"], np.uint8, count) as kinds:
-                self.count_light(int(np.count_nonzero(kinds & LIGHT_RAY)))
+                self.count_light(int(np.count_nonzero(kinds & HAS_LIGHT_RAY)))
         return slots
 
     def _go_on(

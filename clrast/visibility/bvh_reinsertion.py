@@ -9,6 +9,7 @@ import numpy as np
 
 from clrast.opencl import buffers, kernels
 from clrast.opencl.device import Device
+from clrast.opencl.layout import TREE_NODE
 from clrast.visibility.bvh_collapse import BinaryTree
 from clrast.visibility.loop_limits import loop_limit
 
@@ -30,15 +31,10 @@ long."""
 MAX_DEEPENING = 2
 """How much deeper than it was, and than the logarithm of its triangles, a tree may become."""
 
-NODE = np.dtype(
-    [("low", "<f4", 3), ("left", "<u4"), ("high", "<f4", 3), ("right", "<u4"), ("parent", "<u4"), ("count", "<u4")]
-)
-"""TreeNode of cl/reinsert_subtrees.cl."""
-
 
 def can_reinsert(device: Device, triangle_count: int) -> bool:
     """Whether the device has no limit of loops, and room for the tree."""
-    return loop_limit(device) is None and 2 * triangle_count * NODE.itemsize <= device.max_allocation_bytes
+    return loop_limit(device) is None and 2 * triangle_count * TREE_NODE.itemsize <= device.max_allocation_bytes
 
 
 def reinsert_subtrees(device: Device, tree: BinaryTree, boxes: np.ndarray, max_leaf: int) -> BinaryTree:
@@ -50,7 +46,7 @@ def reinsert_subtrees(device: Device, tree: BinaryTree, boxes: np.ndarray, max_l
     n = tree.triangle_count
     if n < 4:
         return tree
-    nodes = np.zeros(2 * n - 1, NODE)
+    nodes = np.zeros(2 * n - 1, TREE_NODE)
     nodes["low"][:n], nodes["high"][:n] = boxes[:3].T, -boxes[3:].T
     nodes["left"][n:], nodes["right"][n:], nodes["count"][:n] = tree.left, tree.right, 1
     program = kernels.build(device, "reinsert_subtrees.cl")
@@ -58,7 +54,7 @@ def reinsert_subtrees(device: Device, tree: BinaryTree, boxes: np.ndarray, max_l
     scratch = {name: buffers.create(device, 4 * n) for name in ("waiting", "prospects")}
     program.launch("fit_tree", 1, 1, triangle_count=n, **on_device)
     for _ in range(ROUNDS):
-        buffers.download(device, on_device["nodes"], NODE, len(nodes), out=nodes)
+        buffers.download(device, on_device["nodes"], TREE_NODE, len(nodes), out=nodes)
         movable = _largest(_half_areas(nodes), max(1, int(SHARE * len(nodes))))
         program.launch(
             "reinsert_subtrees",
@@ -73,7 +69,7 @@ def reinsert_subtrees(device: Device, tree: BinaryTree, boxes: np.ndarray, max_l
             **on_device,
             **scratch,
         )
-    buffers.download(device, on_device["nodes"], NODE, len(nodes), out=nodes)
+    buffers.download(device, on_device["nodes"], TREE_NODE, len(nodes), out=nodes)
     return _ordered(nodes, int(np.argmax(nodes["parent"])), tree)
 
 
