@@ -23,10 +23,10 @@ INLINE LeftTriangles gather_triangles_to_leave(global const float4 *positions, g
                             gather_points(positions, vertices[2], &unused));
 }
 
-// Where rays begin that leave items along `ways`; origins as of leave_triangles.
-INLINE void leave_items(LeftTriangles t, Vec3 weights, Vec3 positions, float_v doubt, bool is_first, Vec3 ways, int_v wanted, float4 *origins) {
+// Where rays begin that leave items along `ways`.
+INLINE Starts leave_items(LeftTriangles t, Vec3 weights, Vec3 positions, float_v doubt, bool is_first, Vec3 ways, int_v wanted) {
   const LeftPoints points = is_first ? points_of_positions(positions, doubt) : points_of_weights(&t, weights);
-  leave_triangles(t, points, weights, ways, wanted, origins);
+  return leave_triangles(t, points, weights, ways, wanted);
 }
 
 // Reads: prims_hit, weights (trace_closest, or the host). Writes: origins (for trace_*). Work item: VECTOR_WIDTH hits.
@@ -42,15 +42,13 @@ kernel void offset_origins(
 {
   const uint first = get_global_id(0) * VECTOR_WIDTH;
   if (first >= ray_count) return;
-  uint rays[VECTOR_WIDTH], prims[VECTOR_WIDTH];
-  list_items(first, ray_count, rays);
-  STORE_V(gather_words(prims_left, rays), prims);
-  float4 found[VECTOR_WIDTH];
+  uint prims[VECTOR_WIDTH];
+  STORE_V(load_words(prims_left, first, ray_count), prims);
   float_v unused;
-  const Vec3 w = gather_points(weights, rays, &unused);
-  leave_items(gather_triangles_to_leave(positions, indices, prims), w, w, unused, false,
-              gather_points(directions, rays, &unused), LANES >= 0, found);
-  for (uint lane = 0; lane < min(ray_count - first, (uint)VECTOR_WIDTH); ++lane) origins[first + lane] = found[lane];
+  const Vec3 w = load_points(weights, first, ray_count, &unused), way = load_points(directions, first, ray_count, &unused);
+  const Starts starts = leave_items(
+      gather_triangles_to_leave(positions, indices, prims), w, w, unused, false, way, LANES >= 0);
+  store_points(origins, first, ray_count, 1, 0, starts.at, starts.begins);
 }
 
 // Reads: sources (list_edge_pixels), slot_directions (scatter_rays), items (shade_hits, arrive). Writes: rays for
@@ -76,24 +74,20 @@ kernel void leave_hits(
 {
   const uint first = get_global_id(0) * VECTOR_WIDTH;
   if (first >= ray_count) return;
-  uint rays[VECTOR_WIDTH], slots[VECTOR_WIDTH], items[VECTOR_WIDTH], prims[VECTOR_WIDTH], keys[VECTOR_WIDTH];
-  list_items(first, ray_count, rays);
-  STORE_V(gather_words(sources, rays), slots);
+  uint slots[VECTOR_WIDTH], items[VECTOR_WIDTH], prims[VECTOR_WIDTH];
+  STORE_V(load_words(sources, first, ray_count), slots);
   for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) items[lane] = slots[lane] / slot_count;
-  STORE_V(gather_words(item_prims, items), prims);
-  float4 found[VECTOR_WIDTH], ways[VECTOR_WIDTH];
+  const uint_v left = gather_words(item_prims, items);
+  STORE_V(left, prims);
   float_v unused, doubt, t_max;
   const Vec3 weights = gather_points(item_weights, items, &unused), at = gather_points(item_positions, items, &doubt);
   const Vec3 way = gather_points(slot_directions, slots, &t_max);
-  leave_items(gather_triangles_to_leave(positions, indices, prims), weights, at, doubt, is_first, way, LANES >= 0, found);
-  list_points(way, t_max, ways);
-  STORE_V(keys_of_rays(gather_words(item_keys, items), seed, depth, false), keys);
-  for (uint lane = 0; lane < min(ray_count - first, (uint)VECTOR_WIDTH); ++lane) {
-    origins[first + lane] = (float4)(found[lane].xyz, 0.0f);
-    directions[first + lane] = (float4)(ways[lane].xyz, found[lane].w > 0.0f ? ways[lane].w : 0.0f);
-    excluded[first + lane] = prims[lane];
-    ray_keys[first + lane] = keys[lane];
-  }
+  const Starts starts = leave_items(
+      gather_triangles_to_leave(positions, indices, prims), weights, at, doubt, is_first, way, LANES >= 0);
+  store_points(origins, first, ray_count, 1, 0, starts.at, (float_v)(0.0f));
+  store_points(directions, first, ray_count, 1, 0, way, starts.begins > 0.0f ? t_max : (float_v)(0.0f));
+  store_words(excluded, first, ray_count, left);
+  store_words(ray_keys, first, ray_count, keys_of_rays(gather_words(item_keys, items), seed, depth, false));
 }
 
 // Reads: slot_ends, slot_lamps (aim_at_light), items (shade_hits, arrive). Writes: rays for trace_any, one of each item.
@@ -120,30 +114,22 @@ kernel void leave_for_light(
 {
   const uint first = get_global_id(0) * VECTOR_WIDTH;
   if (first >= ray_count) return;
-  uint items[VECTOR_WIDTH], prims[VECTOR_WIDTH], keys[VECTOR_WIDTH], lamps[VECTOR_WIDTH];
-  list_items(first, ray_count, items);
-  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane)
-    prims[lane] = item_prims[items[lane]] == NO_HIT ? 0 : item_prims[items[lane]];
-  float4 found[VECTOR_WIDTH], ended[VECTOR_WIDTH];
-  float_v unused, doubt, to_point;
-  const Vec3 weights = gather_points(item_weights, items, &unused), at = gather_points(item_positions, items, &doubt);
-  const Vec3 end = gather_points(slot_ends, items, &to_point);
+  uint prims[VECTOR_WIDTH];
+  const uint_v hit = load_words(item_prims, first, ray_count), left = hit == (uint_v)(NO_HIT) ? (uint_v)(0) : hit;
+  STORE_V(left, prims);
+  float_v unused, doubt, to_point, t_max;
+  const Vec3 weights = load_points(item_weights, first, ray_count, &unused);
+  const Vec3 at = load_points(item_positions, first, ray_count, &doubt);
+  const Vec3 end = load_points(slot_ends, first, ray_count, &to_point);
   const Vec3 way = select3(to_point > 0.0f, subtract(end, at), end);
   const int_v wanted = (way.x != 0.0f) | (way.y != 0.0f) | (way.z != 0.0f);
-  leave_items(gather_triangles_to_leave(positions, indices, prims), weights, at, doubt, is_first, way, wanted, found);
-  list_points(end, to_point, ended);
-  STORE_V(gather_words(slot_lamps, items), lamps);
-  STORE_V(keys_of_rays(gather_words(item_keys, items), seed, depth, true), keys);
-  for (uint lane = 0; lane < min(ray_count - first, (uint)VECTOR_WIDTH); ++lane) {
-    const bool is_point = ended[lane].w > 0.0f;
-    const float4 aim = is_point ? ended[lane] - found[lane] : ended[lane];
-    const float size = max(fabs(aim.x), max(fabs(aim.y), fabs(aim.z)));
-    const bool goes = found[lane].w > 0.0f && size >= LEAST_WAY && size <= LARGEST_WAY;
-    origins[first + lane] = (float4)(found[lane].xyz, 0.0f);
-    directions[first + lane] = (float4)(aim.xyz, goes ? (is_point ? 1.0f : INFINITY) : 0.0f);
-    excluded[first + lane] = prims[lane];
-    ends[first + lane] = ended[lane];
-    lamp_slots[first + lane] = lamps[lane];
-    ray_keys[first + lane] = keys[lane];
-  }
+  const Starts starts = leave_items(
+      gather_triangles_to_leave(positions, indices, prims), weights, at, doubt, is_first, way, wanted);
+  const Vec3 aim = aim_again(starts, end, to_point, &t_max);
+  store_points(origins, first, ray_count, 1, 0, starts.at, (float_v)(0.0f));
+  store_points(directions, first, ray_count, 1, 0, aim, t_max);
+  store_words(excluded, first, ray_count, left);
+  store_points(ends, first, ray_count, 1, 0, end, to_point);
+  store_words(lamp_slots, first, ray_count, load_words(slot_lamps, first, ray_count));
+  store_words(ray_keys, first, ray_count, keys_of_rays(load_words(item_keys, first, ray_count), seed, depth, true));
 }

@@ -24,27 +24,6 @@
 #include "scattered_rays.clh"
 #include "light_rays.clh"
 
-// The rays that leave items. w of origins 0; w of directions: t_max, 0 where there is nothing to meet.
-typedef struct { global float4 *origins, *directions; } LeavingRays;
-
-// Stores rays that begin at `origins`, whose w is 0 where there is none, along `way` up to t_max.
-INLINE void store_leaving(const LeavingRays *rays, uint first, uint count, const float4 *origins, Vec3 way, float_v t_max) {
-  float_v begins;
-  const Vec3 origin = join_points(origins, &begins);
-  store_points(rays->origins, first, count, 1, 0, origin, (float_v)(0.0f));
-  store_points(rays->directions, first, count, 1, 0, way, begins > 0.0f ? t_max : (float_v)(0.0f));
-}
-
-// The ways of rays to lights from where they begin, which are not those from the hits. *t_max: 0 where there is none.
-INLINE Vec3 aim_again(const float4 *origins, const Aim *aim, float_v *t_max) {
-  float_v unused;
-  const int_v is_point = aim->to_point > 0.0f;
-  const Vec3 way = select3(is_point, subtract(aim->end, join_points(origins, &unused)), aim->end);
-  const float_v size = largest3(sizes3(way)), far = is_point ? (float_v)(1.0f) : (float_v)(INFINITY);
-  *t_max = ((size >= LEAST_WAY) & (size <= LARGEST_WAY)) ? far : (float_v)(0.0f);
-  return way;
-}
-
 // Light of dead items, whose rays left the scene.
 INLINE void store_lost(const Items *items, uint first, uint lanes, float4 environment, global float4 *radiances, uchar *kinds) {
   for (uint lane = 0; lane < lanes; ++lane) {
@@ -157,15 +136,15 @@ kernel void shade_paths(
       radiances[first + first_lane(mask)] = brought[first_lane(mask)];
     }
   }
-  float4 origins[VECTOR_WIDTH];
   Aim aim = {none, none, (float_v)(0.0f), (uint_v)(NO_HIT), LANES < 0};
   if (light_count + emitter_count != 0) aim = aim_at_lights(&at, &mesh, surfaces, &all, 0, keys, path, depth, is_last != 0);
+  // Where no light is asked for the side of the viewer is found: most rays go on there.
   const Vec3 way = select3(aim.to_point > 0.0f, subtract(aim.end, at.position), aim.end);
-  const int_v sides = leave_kept(&t, points, way, aim.goes, origins);
+  const Starts starts = leave_kept(&t, points, select3(aim.goes, way, at.to_viewer), is_live);
   float_v t_max;
-  const Vec3 to_end = aim_again(origins, &aim, &t_max);
-  const LeavingRays to_light = {light_origins, light_directions}, onwards = {slot_origins, slot_directions};
-  store_leaving(&to_light, first, item_count, origins, to_end, t_max);
+  const Vec3 to_end = aim_again(starts, aim.end, aim.to_point, &t_max);
+  store_points(light_origins, first, item_count, 1, 0, starts.at, (float_v)(0.0f));
+  store_points(light_directions, first, item_count, 1, 0, to_end, t_max);
   store_points(slot_ends, first, item_count, 1, 0, aim.end, aim.to_point);
   store_points(slot_radiances, first, item_count, 1, 0, aim.radiance, (float_v)(0.0f));
   store_words(slot_lamps, first, item_count, aim.lamp_slot);
@@ -186,16 +165,16 @@ kernel void shade_paths(
   Scattered ray = draw_rays(&at, draw_pairs(keys, path, dimension).y, draw_pairs(keys, path, dimension + 1));
   if (depth >= ROULETTE_DEPTH) ray = play_roulette(ray, draw_pairs(keys, path, dimension + 2).x);
   const int_v goes_on = worth_tracing(&at, ray, 0.0f);
-  float4 again[VECTOR_WIDTH];
-  leave_again(&t, points, ray.direction, goes_on, sides, origins, again);
-  store_leaving(&onwards, first, item_count, again, ray.direction, (float_v)(INFINITY));
+  const Starts again = leave_again(&t, points, ray.direction, goes_on, starts);
+  store_points(slot_origins, first, item_count, 1, 0, again.at, (float_v)(0.0f));
+  store_points(slot_directions, first, item_count, 1, 0, ray.direction, again.begins > 0.0f ? (float_v)(INFINITY) : (float_v)(0.0f));
   store_points(slot_throughputs, first, item_count, 1, 0, ray.throughput, ray.density);
   STORE_V((goes_on ? ray.kind : (int_v)(0)), goes);
   for (uint lane = 0; lane < lanes; ++lane) next_kinds[first + lane] = (uchar)goes[lane];
 }
 
 // Reads: radiances, slot_radiances, slot_kinds (shade_paths), occluded (trace_any, or 0 where light casts no shadow).
-// Writes: sums. Work item: one item. Local memory: 0 bytes.
+// Writes: sums. Work item: VECTOR_WIDTH items. Local memory: 0 bytes.
 kernel void add_paths(
     uint item_count,
     uint pixel_count,                              // of the band
@@ -207,17 +186,33 @@ kernel void add_paths(
     global const uint *restrict occluded,          // [item_count] 1: something is in the way
     global float *restrict sums)                   // [3 * pixel_count] R, G, B
 {
-  const uint item = get_global_id(0);
-  if (item >= item_count) return;
-  const uint kind = slot_kinds[item];
-  const bool is_lit = (kind & HAS_LIGHT_RAY) != 0 && !occluded[item];
-  if (!is_lit && !(kind & HAS_OWN_LIGHT)) return;
-  float4 sum = kind & HAS_OWN_LIGHT ? radiances[item] : (float4)(0.0f);
-  if (is_lit) sum += slot_radiances[item];
-  const size_t stride = pixel_count, pixel = is_first ? item : item_pixels[item];
-  sums[pixel] += sum.x;
-  sums[stride + pixel] += sum.y;
-  sums[2 * stride + pixel] += sum.z;
+  const uint first = get_global_id(0) * VECTOR_WIDTH;
+  if (first >= item_count) return;
+  // No branch for each of them: whether light arrives is not to be guessed.
+  const uint lanes = min(item_count - first, (uint)VECTOR_WIDTH);
+  const Vec3 none = fill3((float_v)(0.0f));
+  int own[VECTOR_WIDTH] = {0}, asked[VECTOR_WIDTH] = {0};
+  for (uint lane = 0; lane < lanes; ++lane) {
+    own[lane] = (slot_kinds[first + lane] & HAS_OWN_LIGHT) != 0;
+    asked[lane] = (slot_kinds[first + lane] & HAS_LIGHT_RAY) != 0;
+  }
+  const int_v has_own = LOAD_V(own) != 0, is_lit = (LOAD_V(asked) != 0) & (load_words(occluded, first, item_count) == (uint_v)(0));
+  if (!has_lane(has_own | is_lit)) return;
+  float_v unused;
+  Vec3 sum = none;
+  if (has_lane(has_own)) sum = select3(has_own, load_points(radiances, first, item_count, &unused), none);
+  sum = add(sum, select3(is_lit, load_points(slot_radiances, first, item_count, &unused), none));
+  float x[VECTOR_WIDTH], y[VECTOR_WIDTH], z[VECTOR_WIDTH];
+  STORE_V(sum.x, x);
+  STORE_V(sum.y, y);
+  STORE_V(sum.z, z);
+  const size_t stride = pixel_count;
+  for (uint lane = 0; lane < lanes; ++lane) {
+    const size_t pixel = is_first ? first + lane : item_pixels[first + lane];
+    sums[pixel] += x[lane];
+    sums[stride + pixel] += y[lane];
+    sums[2 * stride + pixel] += z[lane];
+  }
 }
 
 // Reads: next_kinds, slot_origins, slot_directions, slot_throughputs (shade_paths), begins (scan_counts). Writes: rays for
@@ -248,8 +243,14 @@ kernel void gather_rays(
   const uint begin = get_global_id(0) * LIST_CHUNK;
   if (begin >= item_count) return;
   uint ray = begins[begin / LIST_CHUNK];
+  // Which items they are first: copies then take no branch that is not to be guessed.
+  uint items[LIST_CHUNK], count = 0;
   for (uint item = begin; item < min(begin + LIST_CHUNK, item_count); ++item) {
-    if (!next_kinds[item]) continue;
+    items[count] = item;
+    count += next_kinds[item] != 0;
+  }
+  for (uint k = 0; k < count; ++k, ++ray) {
+    const uint item = items[k];
     origins[ray] = slot_origins[item];
     directions[ray] = slot_directions[item];
     item_throughputs[ray] = slot_throughputs[item];
@@ -258,6 +259,6 @@ kernel void gather_rays(
     ray_keys[ray] = FIRST_LANE(keys_of_rays((uint_v)(keys_left[item]), seed, depth, false));
 #endif
     item_pixels[ray] = is_first ? item : pixels_left[item];
-    item_keys[ray++] = keys_left[item];
+    item_keys[ray] = keys_left[item];
   }
 }

@@ -225,6 +225,7 @@ WRAP_CLAMP = 2
 MATERIAL_MASK = 1
 MATERIAL_BLEND = 2
 MATERIAL_UNLIT = 4
+MATERIAL_SHINES = 8
 
 MIRROR_ROUGHNESS = 0.04
 """Surfaces as smooth as this mirror single rays; rougher ones reflect lights alone, and paths along a lobe."""

@@ -74,7 +74,7 @@ MATERIAL = np.dtype(
         ("base_lookup", "<u4"),  # bits 0-1 wrap u, 2-3 wrap v, 4 nearest, 5 second uv set
         ("emissive_texture", "<u4"),
         ("emissive_lookup", "<u4"),
-        ("flags", "<u4"),  # MATERIAL_MASK | MATERIAL_BLEND | MATERIAL_UNLIT
+        ("flags", "<u4"),  # MATERIAL_MASK | MATERIAL_BLEND | MATERIAL_UNLIT | MATERIAL_SHINES (emits, or is unlit)
         ("transmission", "<f4"),
         ("reflectance", "<f4"),  # of a dielectric seen along its normal: ((ior - 1) / (ior + 1))^2
         ("unused", "<u4"),

@@ -140,7 +140,7 @@ class Integrator:
             "environment_r": red, "environment_g": green, "environment_b": blue,
         }  # fmt: skip
         return PathStreams(
-            self.device, self.features, self.tracer, self._lists, constants, self.shows_shadows, self._count_kinds,
+            self.device, self.features, self.tracer, self._lists, constants, self.shows_shadows, self._count_rays,
             self._count_light,
         )  # fmt: skip
 
@@ -379,8 +379,11 @@ class Integrator:
 
     def _count_kinds(self, kinds: cl.Buffer, slots: int) -> None:
         with buffers.mapped(self.device, kinds, np.uint8, slots) as flags:
-            for kind, name in RAY_KINDS.items():
-                self.counts[name] += int(np.count_nonzero(flags == kind))
+            self._count_rays(flags)
+
+    def _count_rays(self, kinds: np.ndarray) -> None:
+        for kind, name in RAY_KINDS.items():
+            self.counts[name] += int(np.count_nonzero(kinds == kind))
 
     def _has_hits(self, visible_prims: cl.Buffer, count: int) -> bool:
         with buffers.mapped(self.device, visible_prims, np.uint32, count) as prims:

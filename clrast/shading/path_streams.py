@@ -28,7 +28,7 @@ class PathStreams:
     """Traces paths. `launches` : kernels launched, those of the tracer and the lists apart.
 
     constants : arguments of shade_paths that are the scene's. casts_shadows : whether rays to lights are traced.
-    count : takes the kinds of rays that go on, and how many; count_light : how many look for light.
+    count : takes the kinds of rays that go on, 0 for none; count_light : how many look for light.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class PathStreams:
         lists: FlagList,
         constants: dict[str, Any],
         casts_shadows: bool,
-        count: Callable[[cl.Buffer, int], None],
+        count: Callable[[np.ndarray], None],
         count_light: Callable[[int], None],
     ) -> None:
         self.device, self.tracer, self.lists, self.constants = device, tracer, lists, constants
@@ -68,10 +68,9 @@ class PathStreams:
         for depth in range(generations + 1):
             numbers = {"item_count": count, "is_first": int(depth == 0)}
             draws = {"path": path, "seed": seed, "depth": depth}
-            slots = booked("light", lambda: self._light(items, numbers, draws, depth == generations, pixel_count, sums))  # noqa: B023
-            if depth == generations:
-                return
-            found = booked("go on", lambda: self._go_on(items, numbers, draws, slots))  # noqa: B023
+            is_last = depth == generations
+            slots = booked("light", lambda: self._light(items, numbers, draws, is_last, pixel_count, sums))  # noqa: B023
+            found = booked("go on", lambda: self._go_on(items, numbers, draws, is_last, slots))  # noqa: B023
             if found is None:
                 return
             items, count = found
@@ -80,7 +79,7 @@ class PathStreams:
         self, items: dict[str, cl.Buffer], numbers: dict[str, int], draws: dict[str, int], is_last: bool,
         pixel_count: int, sums: cl.Buffer,
     ) -> dict[str, cl.Buffer]:  # fmt: skip
-        """Add what lights bring to items; returns the slots of rays that go on."""
+        """Enqueue what adds to `sums` what lights bring to items; returns the slots of rays that go on, and which do."""
         count = numbers["item_count"]
         lit = self._made(count, radiances=16, slot_radiances=16, slot_kinds=1)
         rays = self._made(count, light_origins=16, light_directions=16)
@@ -92,33 +91,47 @@ class PathStreams:
             "shade_paths", -(-count // self._lanes), **numbers, **draws, is_last=int(is_last), **self.constants, **left,
             **lit, **rays, **ends, **keys, **slots,
         )  # fmt: skip
-        occluded = self._room("occluded", 4 * count)
         if self.casts_shadows:
             arguments = {"origins": rays["light_origins"], "directions": rays["light_directions"]}
             arguments["excluded"] = slots["excluded"]
             known = {"ends": ends["slot_ends"], "lamp_slots": ends["slot_lamps"]}
             draw = {"ray_keys": keys["light_keys"], "path": draws["path"]} if keys else {}
-            occluded = self.tracer.enqueue_any(RayBuffers(count, arguments, known, draw))
+            occluded = self.tracer.enqueue_any(RayBuffers(count, arguments, known, draw), self._room)
         else:
+            occluded = self._room("occluded", 4 * count)
             buffers.fill(self.device, occluded, np.uint32(0), 4 * count)
         self._launch(
-            "add_paths", count, **numbers, pixel_count=pixel_count, item_pixels=items["item_pixels"], **lit,
-            occluded=occluded, sums=sums,
+            "add_paths", -(-count // self._lanes), **numbers, pixel_count=pixel_count, item_pixels=items["item_pixels"],
+            **lit, occluded=occluded, sums=sums,
         )  # fmt: skip
-        if self.casts_shadows:
-            with buffers.mapped(self.device, lit["slot_kinds"], np.uint8, count) as kinds:
-                self.count_light(int(np.count_nonzero(kinds & HAS_LIGHT_RAY)))
-        return slots
+        begins = {} if is_last else {"begins": self.lists.enqueue_count(slots["next_kinds"], count)}
+        return {**slots, **begins, "slot_kinds": lit["slot_kinds"]}
 
     def _go_on(
-        self, items: dict[str, cl.Buffer], numbers: dict[str, int], draws: dict[str, int], slots: dict[str, cl.Buffer]
-    ) -> tuple[dict[str, cl.Buffer], int] | None:
-        """The hits of the rays that go on, and how many; None where none do. Waits."""
+        self, items: dict[str, cl.Buffer], numbers: dict[str, int], draws: dict[str, int], is_last: bool,
+        slots: dict[str, cl.Buffer],
+    ) -> tuple[dict[str, cl.Buffer], int] | None:  # fmt: skip
+        """The hits of the rays that go on, enqueued, and how many they are; None where none do. Counts rays meanwhile."""
+        count = numbers["item_count"]
+        ray_count = 0 if is_last else self.lists.total(slots["begins"], count)
+        with (
+            buffers.mapped(self.device, slots["slot_kinds"], np.uint8, count) as light_kinds,
+            buffers.mapped(self.device, slots["next_kinds"], np.uint8, count) as next_kinds,
+        ):
+            found = self._trace_on(items, numbers, draws, slots, ray_count) if ray_count else None
+            self.device.queue.flush()
+            if self.casts_shadows:
+                self.count_light(int(np.count_nonzero(light_kinds & HAS_LIGHT_RAY)))
+            if ray_count:
+                self.count(next_kinds)
+        return found
+
+    def _trace_on(
+        self, items: dict[str, cl.Buffer], numbers: dict[str, int], draws: dict[str, int], slots: dict[str, cl.Buffer],
+        ray_count: int,
+    ) -> tuple[dict[str, cl.Buffer], int]:  # fmt: skip
+        """As _go_on, of rays that there are."""
         count, depth = numbers["item_count"], draws["depth"]
-        begins, ray_count = self.lists.count(slots["next_kinds"], count)
-        if not ray_count:
-            return None
-        self.count(slots["next_kinds"], count)
         sizes = {
             "origins": 16, "directions": 16, "item_throughputs": 16, "excluded": 4, "item_pixels": 4, "item_keys": 4,
         }  # fmt: skip
@@ -126,14 +139,14 @@ class PathStreams:
             sizes["ray_keys"] = 4
         # Rays that leave items and those that have arrived there take turns.
         made = {name: self._room(f"{name} {depth % 2}", size * ray_count) for name, size in sizes.items()}
-        own = {name: slots[name] for name in ("next_kinds", "slot_origins", "slot_directions", "slot_throughputs")}
+        own = {name: slots[name] for name in ("begins", "next_kinds", "slot_origins", "slot_directions", "slot_throughputs")}
         self._launch(
-            "gather_rays", -(-count // LIST_CHUNK), **numbers, seed=draws["seed"], depth=depth, begins=begins, **own,
+            "gather_rays", -(-count // LIST_CHUNK), **numbers, seed=draws["seed"], depth=depth, **own,
             excluded_left=slots["excluded"], pixels_left=items["item_pixels"], keys_left=items["item_keys"], **made,
         )  # fmt: skip
         arguments = {name: made[name] for name in ("origins", "directions", "excluded")}
         draw = {"ray_keys": made["ray_keys"], "path": draws["path"]} if self._draws else {}
-        found = self.tracer.enqueue_closest(RayBuffers(ray_count, arguments, draws=draw))
+        found = self.tracer.enqueue_closest(RayBuffers(ray_count, arguments, draws=draw), self._room)
         return {
             "item_prims": found["prims_hit"], "item_weights": found["weights"],
             "item_positions": items["item_positions"],

@@ -58,11 +58,20 @@ class FlagList:
 
         flags : [count] uchar.
         """
+        begins = self.enqueue_count(flags, count)
+        return begins, self.total(begins, count)
+
+    def enqueue_count(self, flags: cl.Buffer, count: int) -> cl.Buffer:
+        """The first that `count` returns, without a wait."""
         chunks = -(-count // LIST_CHUNK)
         counts, begins = self._room("counts", 4 * chunks), self._room("begins", 4 * (chunks + 1))
         self._launch("count_flags", chunks, count=count, flags=flags, chunk_counts=counts)
         self._launch("scan_counts", 1, count=chunks, counts=counts, begins=begins)
-        return begins, int(buffers.download(self.device, begins, np.uint32, 1, offset=4 * chunks)[0])
+        return begins
+
+    def total(self, begins: cl.Buffer, count: int) -> int:
+        """How many of `count` flags are not 0, of what enqueue_count returned. Waits."""
+        return int(buffers.download(self.device, begins, np.uint32, 1, offset=4 * -(-count // LIST_CHUNK))[0])
 
     def _launch(self, kernel: str, items: int, **arguments: Any) -> None:
         self._program.launch(kernel, items, 1, **arguments)

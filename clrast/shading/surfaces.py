@@ -66,6 +66,7 @@ def pack_materials(materials: tuple[Material, ...], filters_all: bool = False) -
             (layout.MATERIAL_MASK if material.alpha_mode == "MASK" else 0)
             | (layout.MATERIAL_BLEND if material.alpha_mode == "BLEND" else 0)
             | (layout.MATERIAL_UNLIT if material.unlit else 0)
+            | (layout.MATERIAL_SHINES if material.unlit or max(material.emissive) > 0 else 0)
         )
     return packed
 

@@ -7,7 +7,7 @@ those of real arithmetic, whatever the hierarchy, the vector width and the runti
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +35,12 @@ from clrast.visibility.triangle_list import list_triangles
 
 if TYPE_CHECKING:
     import pyopencl as cl
+
+Room = Callable[[str, int], "cl.Buffer"]
+"""Gives a buffer of a name, of so many bytes or more."""
+
+HIT_BYTES = {"prims_hit": 4, "distances": 8, "weights": 16}
+"""What trace_closest writes of a ray, by its argument names."""
 
 WORK_GROUP = 16
 
@@ -238,22 +244,25 @@ class RayTracer:
         rays = self.upload(origins, directions, t_min, t_max, excluded)
         return buffers.download(self.device, self.enqueue_any(rays), np.uint32, rays.count) != 0
 
-    def enqueue_closest(self, rays: RayBuffers) -> dict[str, cl.Buffer]:
-        """Enqueue `closest` of rays on the device; returns what trace_closest writes, by its argument names."""
-        made = {
-            "prims_hit": buffers.create(self.device, 4 * rays.count),
-            "distances": buffers.create(self.device, 8 * rays.count),
-            "weights": buffers.create(self.device, 16 * rays.count),
-        }
+    def enqueue_closest(self, rays: RayBuffers, room: Room | None = None) -> dict[str, cl.Buffer]:
+        """Enqueue `closest` of rays on the device; returns what trace_closest writes, by its argument names.
+
+        room : gives the buffers, by those names; else they are new.
+        """
+        room = room or self._new_buffer
+        made = {name: room(name, nbytes * rays.count) for name, nbytes in HIT_BYTES.items()}
         self._trace("trace_closest", rays, **made)
         return made
 
-    def enqueue_any(self, rays: RayBuffers) -> cl.Buffer:
-        """Enqueue `any` of rays on the device; returns [ray_count] uint, 1 where something is hit."""
-        occluded = buffers.create(self.device, 4 * rays.count)
+    def enqueue_any(self, rays: RayBuffers, room: Room | None = None) -> cl.Buffer:
+        """Enqueue `any` of rays on the device; returns [ray_count] uint, 1 where something is hit. room : as above."""
+        occluded = (room or self._new_buffer)("occluded", 4 * rays.count)
         ends: dict[str, Any] = rays.ends or {"ends": None, "lamp_slots": None}
         self._trace("trace_any", rays, **ends, occluded=occluded)
         return occluded
+
+    def _new_buffer(self, name: str, nbytes: int) -> cl.Buffer:
+        return buffers.create(self.device, nbytes)
 
     def _trace(self, kernel: str, rays: RayBuffers, **others: Any) -> None:
         masks = {"indices": self.geometry.indices, **self._masks} if self._masks else {}
