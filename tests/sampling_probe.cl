@@ -48,6 +48,20 @@ static Vec3 vector_of(global const float *numbers, uint count, uint i) {
   return v;
 }
 
+// Reads: vectors. Writes: results. Work item: one vector. Local memory: 0 bytes.
+kernel void probe_units(
+    uint count,
+    global const float *restrict vectors,  // [3][count]
+    global float *restrict results)        // [6][count] unit3, unit
+{
+  const uint i = get_global_id(0);
+  if (i >= count) return;
+  const Vec3 v = vector_of(vectors, count, i), found = unit3(v);
+  const float4 alike = unit((float4)(v.x, v.y, v.z, 0.0f));
+  const float all[6] = {found.x, found.y, found.z, alike.x, alike.y, alike.z};
+  for (uint k = 0; k < 6; ++k) results[k * count + i] = all[k];
+}
+
 // Reads: n, v, u. Writes: results. Work item: one draw. Local memory: 0 bytes.
 kernel void probe_directions(
     uint count,

@@ -53,6 +53,27 @@ def probe(first_device: Device, tmp_path_factory: pytest.TempPathFactory) -> Pro
     return Probe(first_device, tmp_path_factory.mktemp("probe"))
 
 
+# --- unit vectors ----------------------------------------------------------------------------------
+
+
+def test_unit_vectors_of_all_sizes(probe: Probe) -> None:
+    """Three products and two sums, a root and a quotient are 3.5 units of 2^-24 of each coordinate; sizes from where
+    float32's last bits are subnormal to where they end, and along axes, where nothing is rounded."""
+    rng = np.random.default_rng(29)
+    drawn = rng.normal(size=(3, 1 << 16)) * 2.0 ** rng.integers(-100, 125, size=1 << 16)
+    ends = np.array([[2.0**-126, 0, 0], [0, -(2.0**127), 0], [0, 0, 3.0], [2.0**-149, 0, 0], [0, 0, 0]]).T
+    largest = np.full((3, 1), np.finfo(np.float32).max)
+    vectors = np.concatenate([drawn, largest, ends], axis=1).astype(np.float32)
+    found = probe.run("units", 6, vectors=vectors)
+    np.testing.assert_array_equal(found[:3].view(np.uint32), found[3:].view(np.uint32))
+    exact = vectors[:, :-2].astype(np.float64)
+    exact /= np.linalg.norm(exact, axis=0)
+    assert (abs(found[:3, :-2] - exact) <= 3.5 * 2.0**-24 * abs(exact) + 2.0**-126).all()
+    np.testing.assert_array_equal(found[:3, -5:-2], np.sign(ends[:, :3]))
+    assert tuple(found[:3, -2]) in {(1.0, 0.0, 0.0), (0.0, 0.0, 0.0)}, "subnormal numbers count or are 0"
+    np.testing.assert_array_equal(found[:3, -1], 0)
+
+
 # --- sine and cosine -------------------------------------------------------------------------------
 
 
