@@ -32,8 +32,8 @@ static inline float4 second_difference(global const float *planes, size_t plane,
 // centre shows: its range in the quad (2 x 2 pixels) alone counts little; a step has second differences besides. At the same
 // error of the other pixels a sixth fewer are flagged than by the deviation of a ramp, range / sqrt(12) (Sponza). Of
 // ERROR_SHARE the choice is where a view of Sponza reaches the error of 16 samples in the least time.
-// A quad lies in one band: bands begin at even rows.
-// Reads: values (shade_hits). Writes: edge_flags (for list_edge_pixels). Work item: one pixel. Local memory: 0 bytes.
+// A quad lies in one band and one group of rows: bands begin at even rows. What its pixels share is found once.
+// Reads: values (shade_hits). Writes: edge_flags (for list_edge_pixels). Work item: one quad. Local memory: 0 bytes.
 kernel void flag_contrast(
     uint pixel_count,                     // of the band
     uint width,                           // pixels of a row
@@ -41,22 +41,31 @@ kernel void flag_contrast(
     global const float *restrict values,  // [4 * pixel_count] R G B A at the centres
     global uchar *restrict edge_flags)    // [pixel_count] in and out: not 0 where samples are called for
 {
-  const uint pixel = get_global_id(0);
-  if (pixel >= pixel_count || edge_flags[pixel] != 0) return;
-  const uint column = pixel % width, row = pixel / width, rows = pixel_count / width;
-  float4 low = load_color(values, pixel_count, pixel), high = low;
-  for (uint k = 0; k < 4; ++k) {
-    const uint other_column = (column & ~1u) + (k & 1), other_row = (row & ~1u) + (k >> 1);
-    if (other_column >= width || other_row >= rows) continue;
-    const float4 other = load_color(values, pixel_count, (size_t)other_row * width + other_column);
-    low = min(low, other);
-    high = max(high, other);
+  const uint quads_across = (width + 1) / 2, rows = pixel_count / width, quad = get_global_id(0);
+  const uint left = 2 * (quad % quads_across), top = 2 * (quad / quads_across);
+  if (top >= rows) return;
+  const uint right_end = min(left + 2, width), bottom_end = min(top + 2, rows);
+  float4 low = (float4)(INFINITY), high = (float4)(-INFINITY);
+  bool is_flagged = true;
+  for (uint row = top; row < bottom_end; ++row) {
+    for (uint column = left; column < right_end; ++column) {
+      const float4 color = load_color(values, pixel_count, (size_t)row * width + column);
+      low = min(low, color);
+      high = max(high, color);
+      is_flagged = is_flagged && edge_flags[(size_t)row * width + column] != 0;
+    }
   }
-  const uint group = row & ~(GROUP_ROWS - 1);
-  const float4 bend = second_difference(values, pixel_count, (size_t)row * width, 1, column, width) +
-                      second_difference(values, pixel_count, (size_t)group * width + column, width, row - group,
-                                        min(GROUP_ROWS, rows - group));
-  if ((largest_channel(high - low) + largest_channel(bend)) * ERROR_SHARE > threshold) edge_flags[pixel] = 255;
+  if (is_flagged) return;
+  const float range = largest_channel(high - low);
+  const uint group = top & ~(GROUP_ROWS - 1), group_rows = min(GROUP_ROWS, rows - group);
+  for (uint column = left; column < right_end; ++column) {
+    // Both rows of a quad are nearest to the same middle.
+    const float4 down = second_difference(values, pixel_count, (size_t)group * width + column, width, top - group, group_rows);
+    for (uint row = top; row < bottom_end; ++row) {
+      const float4 across = second_difference(values, pixel_count, (size_t)row * width, 1, column, width);
+      if ((range + largest_channel(across + down)) * ERROR_SHARE > threshold) edge_flags[(size_t)row * width + column] = 255;
+    }
+  }
 }
 
 // Reads: pixels, colors (shade_hits), values (shade_hits, at the centres). Writes: state (for judge_pixels).

@@ -95,7 +95,7 @@ kernel void judge_strata(
     uint pixel_count,
     uint width,                                  // pixels of a row
     float sample_count,                          // samples so far
-    float error_factor,                          // N^(-3/4)
+    float error_factor,                          // EDGE_ERROR N^(-3/4)
     float threshold,
     global const uint *restrict pixels,          // [count]
     global const uint *restrict slots,           // [count]

@@ -6,11 +6,12 @@
 // step or bend (flag_contrast). In rounds, of N = 16, 32, 64 .. samples:
 //   meet_strata: each new sample belongs to a surface; which are shaded: the first of a surface, and of the first N/4 those
 //     whose surface is still open
-//   gather_strata, judge_strata: of the shares   deviation between the surfaces' means * N^(-3/4)
+//   gather_strata, judge_strata: of the shares   deviation between the surfaces' means * EDGE_ERROR N^(-3/4)
 //     of a surface's mean   share * half the deviation of its n colours * n^(-3/4); it is open while that is too large
 //     pixels with no such error stay out of the next round
 // N^(-3/4) is how fast the error of an edge falls when N samples are one in each of N equal squares: an edge passes about
-// sqrt(N) squares, each of which adds its own, independent error (Mitchell 1996). Within a surface there are no edges, but
+// sqrt(N) squares, each of which adds its own, independent error (Mitchell 1996); EDGE_ERROR (strata.py) is what the pattern's
+// straight edges have of it. Within a surface there are no edges, but
 // what changes slowly; half is what was measured there. Deviations of few samples are uncertain: half of one is that of the
 // listed pixels of its quad. Lists are made by prefix sums.
 // Good at: few surfaces a pixel. Bad at: more than STRATA of them: the last takes all that the others do not.

@@ -14,7 +14,7 @@ from clrast.opencl import buffers, kernels
 from clrast.opencl.constants import LIST_CHUNK
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
-from clrast.shading.edge_pixels import BYTES_PER_PIXEL, FOOTPRINT, EdgePixels, padded
+from clrast.shading.edge_pixels import BYTES_PER_PIXEL, FOOTPRINT, EdgePixels, padded, quads_of
 from clrast.shading.shade import WORK_GROUP, Shader
 from clrast.shading.supersample import Layers
 from clrast.visibility.sample_passes import SamplePasses
@@ -77,7 +77,7 @@ class AdaptiveSampler:
     def _list_first(self, width: int, pixel_count: int, target: Shader) -> int:
         self.edges.flag(pixel_count)
         self._launch(
-            "flag_contrast", pixel_count, pixel_count=pixel_count, width=width, threshold=self.threshold,
+            "flag_contrast", quads_of(pixel_count, width), pixel_count=pixel_count, width=width, threshold=self.threshold,
             values=target.values, edge_flags=self.edges.flags,
         )  # fmt: skip
         self.edges.count_flags(pixel_count)

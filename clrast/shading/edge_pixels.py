@@ -34,6 +34,11 @@ def padded(count: int) -> int:
     return -(-count // WORK_GROUP) * WORK_GROUP
 
 
+def quads_of(pixel_count: int, width: int) -> int:
+    """Quads of 2 x 2 pixels that cover a band, those at its ends in part."""
+    return -(-width // 2) * -(-(pixel_count // width) // 2)
+
+
 class EdgePixels:
     """Visibility of `plane_count` samples of each pixel, and lists by prefix sums.
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from clrast.errors import UsageError
@@ -106,6 +107,7 @@ def _sobol_second(k: int) -> int:
     return value
 
 
+@cache
 def sobol(count: int) -> Pattern:
     """The first `count` points of Sobol's sequence, 1 to MAX_SAMPLES, rounded down to 256ths."""
     box = 1 << (count - 1).bit_length()
@@ -132,6 +134,7 @@ def _flipped(value: int, seed: int) -> int:
     return found
 
 
+@cache
 def scrambled(count: int, seed: int = SCRAMBLE) -> Pattern:
     """The first `count` points of Sobol's sequence, 1 to 256, their digits flipped."""
     points = ((_reversed_bits(k) // 4, _sobol_second(k) // 4) for k in range(count))
@@ -148,6 +151,7 @@ def pattern_of(count: int) -> Pattern:
     return sobol(count)
 
 
+@cache
 def mixed(depth_count: int, coverage_count: int) -> Pattern:
     """The pattern of csaa:S+C; the first `depth_count` samples are a pattern by themselves."""
     first = pattern_of(depth_count).positions
