@@ -17,7 +17,7 @@
 #define STATE_PLANES 8  // sums of R G B A less those of the centre, then sums of their squares
 
 #define GROUP_ROWS 4u     // rows that a second difference stays within: bands begin at multiples of them
-#define ERROR_SHARE 0.125f  // of range and second differences: the error of one sample, see flag_contrast
+#define ERROR_SHARE 0.15625f  // of range and second differences: the error of one sample, see flag_contrast
 
 // |a - 2 b + c| of three entries in a row or column: the middle one is `at`, or the nearest that has both neighbours among
 // `count` of them from `first` on.

@@ -77,8 +77,8 @@ class AdaptiveSampler:
     def _list_first(self, width: int, pixel_count: int, target: Shader) -> int:
         self.edges.flag(pixel_count)
         self._launch(
-            "flag_contrast", quads_of(pixel_count, width), pixel_count=pixel_count, width=width, threshold=self.threshold,
-            values=target.values, edge_flags=self.edges.flags,
+            "flag_contrast", quads_of(pixel_count, width), pixel_count=pixel_count, width=width,
+            threshold=self.threshold, values=target.values, edge_flags=self.edges.flags,
         )  # fmt: skip
         self.edges.count_flags(pixel_count)
         return self.edges.list_flagged(pixel_count)

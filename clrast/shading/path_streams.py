@@ -79,7 +79,7 @@ class PathStreams:
         self, items: dict[str, cl.Buffer], numbers: dict[str, int], draws: dict[str, int], is_last: bool,
         pixel_count: int, sums: cl.Buffer,
     ) -> dict[str, cl.Buffer]:  # fmt: skip
-        """Enqueue what adds to `sums` what lights bring to items; returns the slots of rays that go on, and which do."""
+        """Enqueue: add to `sums` what lights bring to items. Returns the slots of rays that go on, and which do."""
         count = numbers["item_count"]
         lit = self._made(count, radiances=16, slot_radiances=16, slot_kinds=1)
         rays = self._made(count, light_origins=16, light_directions=16)
@@ -111,7 +111,7 @@ class PathStreams:
         self, items: dict[str, cl.Buffer], numbers: dict[str, int], draws: dict[str, int], is_last: bool,
         slots: dict[str, cl.Buffer],
     ) -> tuple[dict[str, cl.Buffer], int] | None:  # fmt: skip
-        """The hits of the rays that go on, enqueued, and how many they are; None where none do. Counts rays meanwhile."""
+        """The hits of the rays that go on, enqueued, and how many they are; None where none do. Counts rays, too."""
         count = numbers["item_count"]
         ray_count = 0 if is_last else self.lists.total(slots["begins"], count)
         with (
@@ -139,7 +139,8 @@ class PathStreams:
             sizes["ray_keys"] = 4
         # Rays that leave items and those that have arrived there take turns.
         made = {name: self._room(f"{name} {depth % 2}", size * ray_count) for name, size in sizes.items()}
-        own = {name: slots[name] for name in ("begins", "next_kinds", "slot_origins", "slot_directions", "slot_throughputs")}
+        left = ("begins", "next_kinds", "slot_origins", "slot_directions", "slot_throughputs")
+        own = {name: slots[name] for name in left}
         self._launch(
             "gather_rays", -(-count // LIST_CHUNK), **numbers, seed=draws["seed"], depth=depth, **own,
             excluded_left=slots["excluded"], pixels_left=items["item_pixels"], keys_left=items["item_keys"], **made,
