@@ -39,7 +39,7 @@ INLINE void find_hits(const Leaves *leaves, const Rays *rays, const uint *slots,
   const Vec3 direction = at->direction, size = sizes3(direction);
   const float_v size_floor = SIZE_FLOOR * (1.0f + size.x + size.y + size.z);
   TriangleHits found;
-  intersect_lanes(t, origin, direction, size, size_floor, &found);
+  intersect_lanes(t, origin, direction, size, size_floor, LANES >= 0, &found);  // some lane is met
   const Vec3 inverse = {1.0f / direction.x, 1.0f / direction.y, 1.0f / direction.z};
   const Vec3 low = lower_corner(t), high = upper_corner(t);
   const Vec3 near = {inverse.x < 0.0f ? high.x : low.x, inverse.y < 0.0f ? high.y : low.y, inverse.z < 0.0f ? high.z : low.z};
