@@ -29,6 +29,13 @@ typedef struct {
   uint count;
 } Strata;
 
+static inline Strata no_strata() {
+  Strata s;
+  for (uint k = 0; k < STRATA; ++k) s.prims[k] = s.covered[k] = s.shaded[k] = 0;
+  s.count = 0;
+  return s;
+}
+
 static inline Strata load_strata(size_t slot, global const uint *restrict prims, global const uint *restrict counts) {
   Strata s;
   s.count = 0;
@@ -47,6 +54,8 @@ static inline bool shows_same(const Ground *g, uint a, uint b, float x, float y)
   const SurfacePlane first = plane_of(g, a), second = plane_of(g, b);
   return is_same_surface(g, &first, &second, x, y);
 }
+
+#define ALL_SAMPLES ((1u << VISIT_SAMPLES) - 1)
 
 // A bit for each of a visit's samples that shows a triangle.
 static inline uint samples_of(uint16 samples, uint prim_id) {
@@ -83,15 +92,17 @@ kernel void flag_surfaces(
   const Ground g = {view, surface_distance, positions, indices, object_ids, material_ids};
   const float x = (float)(pixel % view.width) - view.center_x + 0.5f;
   const float y = (float)(pixel / view.width + (view.band_row << TILE_LOG2)) - view.center_y + 0.5f;
-  uint known = center;
-  bool is_edge = false;
-  for (uint k = 0; k < VISIT_SAMPLES && !is_edge; ++k) {
-    const uint prim_id = sample_prims[(size_t)pixel * VISIT_SAMPLES + k];
-    if (prim_id == center || prim_id == known) continue;
-    is_edge = !shows_same(&g, center, prim_id, x, y);
-    known = prim_id;
+  global const uint *samples = sample_prims + (size_t)pixel * VISIT_SAMPLES;
+  const uint16 shown = vload16(0, samples);
+  // Each triangle once.
+  for (uint left = ALL_SAMPLES & ~samples_of(shown, center); left != 0;) {
+    const uint prim_id = samples[first_bit(left)];
+    if (!shows_same(&g, center, prim_id, x, y)) {
+      edge_flags[pixel] = 255;
+      return;
+    }
+    left &= ~samples_of(shown, prim_id);
   }
-  if (is_edge) edge_flags[pixel] = 255;
 }
 
 // The stratum of a triangle that a sample at (X, Y) shows; a new one where it is part of none and there is room.
@@ -149,8 +160,7 @@ kernel void meet_strata(
   const Ground g = {view, surface_distance, positions, indices, object_ids, material_ids};
   const float left = (float)(pixel % view.width) - view.center_x;
   const float top = (float)(pixel / view.width + (view.band_row << TILE_LOG2)) - view.center_y;
-  Strata s = load_strata(slot, stratum_prims, stratum_counts);
-  if (begins) s.count = 0;
+  Strata s = begins ? no_strata() : load_strata(slot, stratum_prims, stratum_counts);
   const uint is_open = begins ? (1u << STRATA) - 1 : open[slot];
   uint chosen_count = 0;
   for (uint visit = 0; visit < visit_count; ++visit) {
@@ -160,7 +170,7 @@ kernel void meet_strata(
     const bool is_plain = own.x == FIRST_VISIT && !differs[pixel];
     const uint16 shown = is_plain ? (uint16)(center_prims[pixel]) : vload16(0, samples);
     uint mask = 0, strata = 0;
-    for (uint left_over = (1u << VISIT_SAMPLES) - 1; left_over != 0;) {
+    for (uint left_over = ALL_SAMPLES; left_over != 0;) {
       const uint k = first_bit(left_over), prim_id = is_plain ? center_prims[pixel] : samples[k];
       const uint position = sample_positions[visit * VISIT_SAMPLES + k];
       const float x = left + (float)(position & 0xffffu) / 256.0f, y = top + (float)(position >> 16) / 256.0f;
