@@ -121,7 +121,7 @@ kernel void leave_for_light(
   const Vec3 weights = load_points(item_weights, first, ray_count, &unused);
   const Vec3 at = load_points(item_positions, first, ray_count, &doubt);
   const Vec3 end = load_points(slot_ends, first, ray_count, &to_point);
-  const Vec3 way = select3(to_point > 0.0f, subtract(end, at), end);
+  const Vec3 way = way_to(at, end, to_point);
   const int_v wanted = (way.x != 0.0f) | (way.y != 0.0f) | (way.z != 0.0f);
   const Starts starts = leave_items(
       gather_triangles_to_leave(positions, indices, prims), weights, at, doubt, is_first, way, wanted);

@@ -139,7 +139,7 @@ kernel void shade_paths(
   Aim aim = {none, none, (float_v)(0.0f), (uint_v)(NO_HIT), LANES < 0};
   if (light_count + emitter_count != 0) aim = aim_at_lights(&at, &mesh, surfaces, &all, 0, keys, path, depth, is_last != 0);
   // Where no light is asked for the side of the viewer is found: most rays go on there.
-  const Vec3 way = select3(aim.to_point > 0.0f, subtract(aim.end, at.position), aim.end);
+  const Vec3 way = way_to(at.position, aim.end, aim.to_point);
   const Starts starts = leave_kept(&t, points, select3(aim.goes, way, at.to_viewer), is_live);
   float_v t_max;
   const Vec3 to_end = aim_again(starts, aim.end, aim.to_point, &t_max);
@@ -191,12 +191,11 @@ kernel void add_paths(
   // No branch for each of them: whether light arrives is not to be guessed.
   const uint lanes = min(item_count - first, (uint)VECTOR_WIDTH);
   const Vec3 none = fill3((float_v)(0.0f));
-  int own[VECTOR_WIDTH] = {0}, asked[VECTOR_WIDTH] = {0};
-  for (uint lane = 0; lane < lanes; ++lane) {
-    own[lane] = (slot_kinds[first + lane] & HAS_OWN_LIGHT) != 0;
-    asked[lane] = (slot_kinds[first + lane] & HAS_LIGHT_RAY) != 0;
-  }
-  const int_v has_own = LOAD_V(own) != 0, is_lit = (LOAD_V(asked) != 0) & (load_words(occluded, first, item_count) == (uint_v)(0));
+  uint listed[VECTOR_WIDTH] = {0};
+  for (uint lane = 0; lane < lanes; ++lane) listed[lane] = slot_kinds[first + lane];
+  const uint_v kinds = LOAD_V(listed), zero = (uint_v)(0);
+  const int_v has_own = (kinds & HAS_OWN_LIGHT) != zero;
+  const int_v is_lit = ((kinds & HAS_LIGHT_RAY) != zero) & (load_words(occluded, first, item_count) == zero);
   if (!has_lane(has_own | is_lit)) return;
   float_v unused;
   Vec3 sum = none;

@@ -11,9 +11,8 @@
 //     pixels with no such error stay out of the next round
 // N^(-3/4) is how fast the error of an edge falls when N samples are one in each of N equal squares: an edge passes about
 // sqrt(N) squares, each of which adds its own, independent error (Mitchell 1996); EDGE_ERROR (strata.py) is what the pattern's
-// straight edges have of it. Within a surface there are no edges, but
-// what changes slowly; half is what was measured there. Deviations of few samples are uncertain: half of one is that of the
-// listed pixels of its quad. Lists are made by prefix sums.
+// straight edges have of it. Within a surface there are no edges, but what changes slowly; half is what was measured there.
+// Deviations of few samples are uncertain: half of one is that of the listed pixels of its quad. Lists are made by prefix sums.
 // Good at: few surfaces a pixel. Bad at: more than STRATA of them: the last takes all that the others do not.
 // Tests: tests/test_antialiasing.py.
 

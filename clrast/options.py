@@ -40,7 +40,7 @@ METHODS = AVAILABLE_METHODS
 AUTO_ACCELERATOR = "bvh"
 """Of secondary rays where --accelerator does not say.
 
-On three scenes of 69,000 to 330,000 triangles the grid took 3.3 to 3.6 times as long for closest hits and 3.4 to 7.3
+On three scenes of 69,000 to 330,000 triangles the grid took 3.0 to 3.6 times as long for closest hits and 3.0 to 6.6
 times for any hit (tools/bench_rays.py). It is built in three tenths of the time, which pays where all frames of a scene
 together have less than about three rays a triangle.
 """

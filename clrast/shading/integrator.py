@@ -347,7 +347,8 @@ class Integrator:
         sources, count = self._lists.list(kinds, slots, "sources")
         if not count:
             return None
-        self._count_kinds(kinds, slots)
+        with buffers.mapped(self.device, kinds, np.uint8, slots) as flags:
+            self._count_rays(flags)
         rays = self.tracer.enqueue_leave(
             count, path, slot_count=self.slot_count, sources=sources, slot_directions=directions,
             **self._streams_left(items, depth),
@@ -376,10 +377,6 @@ class Integrator:
         )  # fmt: skip
         hits = {"item_prims": found["prims_hit"], "item_weights": found["weights"], **made}
         return Items(count, False, hits, rays["origins"], numbers["item_pixels"], numbers["item_keys"])
-
-    def _count_kinds(self, kinds: cl.Buffer, slots: int) -> None:
-        with buffers.mapped(self.device, kinds, np.uint8, slots) as flags:
-            self._count_rays(flags)
 
     def _count_rays(self, kinds: np.ndarray) -> None:
         for kind, name in RAY_KINDS.items():

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 WORK_GROUP = 16
 
+
 class PathStreams:
     """Traces paths. `launches` : kernels launched, those of the tracer and the lists apart.
 

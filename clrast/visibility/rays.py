@@ -36,7 +36,7 @@ from clrast.visibility.triangle_list import list_triangles
 if TYPE_CHECKING:
     import pyopencl as cl
 
-Room = Callable[[str, int], "cl.Buffer"]
+BufferMaker = Callable[[str, int], "cl.Buffer"]
 """Gives a buffer of a name, of so many bytes or more."""
 
 HIT_BYTES = {"prims_hit": 4, "distances": 8, "weights": 16}
@@ -244,7 +244,7 @@ class RayTracer:
         rays = self.upload(origins, directions, t_min, t_max, excluded)
         return buffers.download(self.device, self.enqueue_any(rays), np.uint32, rays.count) != 0
 
-    def enqueue_closest(self, rays: RayBuffers, room: Room | None = None) -> dict[str, cl.Buffer]:
+    def enqueue_closest(self, rays: RayBuffers, room: BufferMaker | None = None) -> dict[str, cl.Buffer]:
         """Enqueue `closest` of rays on the device; returns what trace_closest writes, by its argument names.
 
         room : gives the buffers, by those names; else they are new.
@@ -254,7 +254,7 @@ class RayTracer:
         self._trace("trace_closest", rays, **made)
         return made
 
-    def enqueue_any(self, rays: RayBuffers, room: Room | None = None) -> cl.Buffer:
+    def enqueue_any(self, rays: RayBuffers, room: BufferMaker | None = None) -> cl.Buffer:
         """Enqueue `any` of rays on the device; returns [ray_count] uint, 1 where something is hit. room : as above."""
         occluded = (room or self._new_buffer)("occluded", 4 * rays.count)
         ends: dict[str, Any] = rays.ends or {"ends": None, "lamp_slots": None}
