@@ -31,20 +31,22 @@ typedef struct {
 INLINE void load_coats(Surfaces surfaces, const Samples *s, const Hits *hits, Coats *coats) {
   float4 base[VECTOR_WIDTH], emitted[VECTOR_WIDTH];
   float metallic[VECTOR_WIDTH] = {0}, roughness[VECTOR_WIDTH] = {0}, reflectance[VECTOR_WIDTH] = {0};
-  uint flags[VECTOR_WIDTH] = {0};
+  uint flags[VECTOR_WIDTH] = {0}, materials[VECTOR_WIDTH];
   for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) base[lane] = emitted[lane] = (float4)(0.0f);
-  for (ulong mask = LANE_MASK(s->is_hit); mask != 0; mask &= mask - 1) {
+  const ulong hit_lanes = LANE_MASK(s->is_hit);
+  for (ulong mask = hit_lanes; mask != 0; mask &= mask - 1) {
     const uint lane = first_lane(mask);
-    const Material material = surfaces.materials[surfaces.material_ids[s->prims[lane]]];
-    base[lane] = base_color(surfaces, material, hits->at[lane]);
-#if EMISSION
-    emitted[lane] = emitted_light(surfaces, material, hits->at[lane]);
-#endif
-    metallic[lane] = material.metallic;
-    roughness[lane] = material.roughness;
-    reflectance[lane] = material.reflectance;
-    flags[lane] = material.flags;
+    materials[lane] = surfaces.material_ids[s->prims[lane]];
+    global const Material *own = surfaces.materials + materials[lane];
+    metallic[lane] = own->metallic;
+    roughness[lane] = own->roughness;
+    reflectance[lane] = own->reflectance;
+    flags[lane] = own->flags;
   }
+  color_lanes(surfaces, hits->at, materials, hit_lanes, false, base);
+#if EMISSION
+  color_lanes(surfaces, hits->at, materials, hit_lanes, true, emitted);
+#endif
   float_v unused, base_alpha;
   const Finish finish = {join_points(base, &base_alpha), LOAD_V(metallic), LOAD_V(roughness), LOAD_V(reflectance)};
   coats->finish = finish;
