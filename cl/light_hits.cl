@@ -46,6 +46,9 @@ kernel void begin_light(
     global const float4 *restrict item_positions,  // [item_count]
     global const float4 *restrict item_directions, // [item_count]
     global const float4 *restrict item_throughputs,// [item_count]
+#if COLORS_VARY
+    global const float4 *restrict item_colors,     // [item_count]
+#endif
 #if FOOTPRINTS
     global const float4 *restrict item_footprints, // [3 * item_count]
 #endif
@@ -67,6 +70,9 @@ kernel void begin_light(
   const uint first = get_global_id(0) * VECTOR_WIDTH;
   if (first >= item_count) return;
   const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first
+#if COLORS_VARY
+                       , item_colors
+#endif
 #if FOOTPRINTS
                        , item_footprints
 #endif
@@ -108,6 +114,9 @@ kernel void aim_at_light(
     global const float4 *restrict item_positions,  // [item_count]
     global const float4 *restrict item_directions, // [item_count]
     global const float4 *restrict item_throughputs,// [item_count]
+#if COLORS_VARY
+    global const float4 *restrict item_colors,     // [item_count]
+#endif
 #if FOOTPRINTS
     global const float4 *restrict item_footprints, // [3 * item_count]
 #endif
@@ -136,6 +145,9 @@ kernel void aim_at_light(
   const uint first = get_global_id(0) * VECTOR_WIDTH;
   if (first >= item_count) return;
   const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first
+#if COLORS_VARY
+                       , item_colors
+#endif
 #if FOOTPRINTS
                        , item_footprints
 #endif

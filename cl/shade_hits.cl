@@ -23,7 +23,7 @@
 // What lanes' surfaces are made of.
 typedef struct {
   Finish finish;
-  float_v alpha;          // of blending surfaces, else 1
+  float_v base_alpha, alpha;  // alpha: of blending surfaces, else 1
   Vec3 emitted;
   int_v is_unlit, blends;
 } Coats;
@@ -47,8 +47,8 @@ INLINE void load_coats(Surfaces surfaces, const Samples *s, const Hits *hits, Co
 #if EMISSION
   color_lanes(surfaces, hits->at, materials, hit_lanes, true, emitted);
 #endif
-  float_v unused, base_alpha;
-  const Finish finish = {join_points(base, &base_alpha), LOAD_V(metallic), LOAD_V(roughness), LOAD_V(reflectance)};
+  float_v unused;
+  const Finish finish = {join_points(base, &coats->base_alpha), LOAD_V(metallic), LOAD_V(roughness), LOAD_V(reflectance)};
   coats->finish = finish;
   coats->emitted = join_points(emitted, &unused);
   coats->is_unlit = (LOAD_V(flags) & (uint_v)(MATERIAL_UNLIT)) != 0;
@@ -56,22 +56,17 @@ INLINE void load_coats(Surfaces surfaces, const Samples *s, const Hits *hits, Co
   coats->blends = LANES < 0;
 #if ALPHA_BLEND
   coats->blends = (LOAD_V(flags) & (uint_v)(MATERIAL_BLEND)) != 0;
-  coats->alpha = coats->blends ? min(max(base_alpha, 0.0f), 1.0f) : coats->alpha;
+  coats->alpha = coats->blends ? min(max(coats->base_alpha, 0.0f), 1.0f) : coats->alpha;
 #endif
 }
 
 #if LIT
 // Adds what a light brings, without shadows.
-INLINE Vec3 add_light(Light light, const Samples *s, const Hits *hits, const Coats *coats, Vec3 g, Vec3 n, Vec3 to_viewer, Vec3 sum) {
-  float4 places[VECTOR_WIDTH], brought[VECTOR_WIDTH], ways[VECTOR_WIDTH];
-  list_points(hits->plane.position, (float_v)(0.0f), places);
-  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) brought[lane] = ways[lane] = (float4)(0.0f);
-  for (ulong mask = LANE_MASK(s->is_hit); mask != 0; mask &= mask - 1) {
-    const uint lane = first_lane(mask);
-    brought[lane] = incoming(light, places[lane], ways + lane);
-  }
-  float_v unused;
-  const Vec3 arriving = join_points(brought, &unused), to_light = join_points(ways, &unused);
+INLINE Vec3 add_light(global const Light *light, const Hits *hits, const Coats *coats, Vec3 g, Vec3 n, Vec3 to_viewer, Vec3 sum) {
+  const uint only[VECTOR_WIDTH] = {0};
+  const LaneLights lights = gather_lights(light, only);
+  Vec3 to_light;
+  const Vec3 arriving = incoming(&lights, hits->plane.position, &to_light);
   const Vec3 sent = multiply3(arriving, reflected_by(coats->finish, n, to_viewer, to_light, LANES >= 0));
   return select3(dot3(g, to_light) > 0.0f, add(sum, sent), sum);
 }
@@ -89,7 +84,7 @@ INLINE Vec3 shade(const Samples *s, const Hits *hits, const Coats *coats, uint l
   const Vec3 n = scale3(hits->shading_normal, side);
 #if LIT
   const Vec3 g = scale3(hits->geometric_normal, side);
-  for (uint i = 0; i < light_count; ++i) radiance = add_light(lights[i], s, hits, coats, g, n, to_viewer, radiance);
+  for (uint i = 0; i < light_count; ++i) radiance = add_light(lights + i, hits, coats, g, n, to_viewer, radiance);
 #else
   radiance = add(radiance, scale3(coats->finish.base, fabs(dot3(n, to_viewer))));
 #endif
@@ -103,13 +98,17 @@ INLINE Vec3 shade(const Samples *s, const Hits *hits, const Coats *coats, uint l
 typedef struct {
   global float4 *weights, *positions, *directions;
   global uint *keys;
+#if COLORS_VARY
+  global float4 *colors;
+#endif
 #if DERIVATIVES
   global float4 *footprints;
 #endif
 } Left;
 
 // Leaves hits for rays that go on; weight: share of the pixel.
-INLINE void leave_hits(const Left *left, size_t first, View view, float footprint, const Samples *s, const Hits *hits, float_v weight) {
+INLINE void leave_hits(const Left *left, size_t first, View view, float footprint, const Samples *s, const Hits *hits,
+                       const Coats *coats, float_v weight) {
   float4 positions[VECTOR_WIDTH], directions[VECTOR_WIDTH];
   float weights[VECTOR_WIDTH], x[VECTOR_WIDTH], y[VECTOR_WIDTH];
   list_points(hits->plane.position, hits->plane.doubt, positions);
@@ -117,6 +116,10 @@ INLINE void leave_hits(const Left *left, size_t first, View view, float footprin
   STORE_V(weight, weights);
   STORE_V(s->x, x);
   STORE_V(s->y, y);
+#if COLORS_VARY
+  float4 colors[VECTOR_WIDTH];
+  list_points(coats->finish.base, coats->base_alpha, colors);
+#endif
 #if DERIVATIVES
   const Change steps = direction_change(view, s->x - view.center_x, s->y - view.center_y);
   float4 right[VECTOR_WIDTH], down[VECTOR_WIDTH];
@@ -131,6 +134,9 @@ INLINE void leave_hits(const Left *left, size_t first, View view, float footprin
     left->positions[pixel] = positions[lane];
     left->directions[pixel] = directions[lane];
     left->keys[pixel] = hash_pair((uint)x[lane] | (uint)y[lane] << 16, s->offset[lane]);
+#if COLORS_VARY
+    left->colors[pixel] = colors[lane];
+#endif
 #if DERIVATIVES
     left->footprints[3 * pixel] = (float4)(at->db1, at->db2);
     left->footprints[3 * pixel + 1] = right[lane];
@@ -182,6 +188,9 @@ kernel void shade_hits(
     global float4 *restrict hit_positions,         // [pixel_count] world space
     global float4 *restrict hit_directions,        // [pixel_count] d of the ray that found it, w 0
     global uint *restrict sample_keys,             // [pixel_count] a number of its own for each sample of the image
+#if COLORS_VARY
+    global float4 *restrict hit_colors,            // [pixel_count] linear base colour and alpha
+#endif
 #if DERIVATIVES
     global float4 *restrict hit_footprints,        // [3 * pixel_count], see ray_items.clh
 #endif
@@ -236,12 +245,15 @@ kernel void shade_hits(
   if (planes.color == PLANE_NONE) return;
 #if SECONDARY
   const Left left = {hit_weights, hit_positions, hit_directions, sample_keys
+#if COLORS_VARY
+                     , hit_colors
+#endif
 #if DERIVATIVES
                      , hit_footprints
 #endif
   };
   const float_v behind = layer > 0 ? 1.0f - load_plane(&out, planes.color + 3) : (float_v)(1.0f);
-  leave_hits(&left, first, view, footprint, &s, &hits, coats.is_unlit ? (float_v)(0.0f) : coats.alpha * behind);
+  leave_hits(&left, first, view, footprint, &s, &hits, &coats, coats.is_unlit ? (float_v)(0.0f) : coats.alpha * behind);
 #endif
   store_color(&out, planes.color, &s, shade(&s, &hits, &coats, light_count, lights), coats.alpha, layer);
 #if ALPHA_BLEND

@@ -55,6 +55,9 @@ kernel void shade_paths(
     global const float4 *restrict item_positions,  // [item_count] of the camera's samples, else unused
     global const float4 *restrict item_directions, // [item_count]
     global const float4 *restrict item_throughputs,// [item_count] w density
+#if COLORS_VARY
+    global const float4 *restrict item_colors,     // [item_count] of the camera's samples, else unused
+#endif
     global const float4 *restrict item_origins,    // [item_count] where the ray that arrived began
     global const uint *restrict item_keys,         // [item_count] of random numbers
     global const float4 *restrict positions,       // [vertex_count] world space
@@ -91,7 +94,11 @@ kernel void shade_paths(
 {
   const uint first = get_global_id(0) * VECTOR_WIDTH;
   if (first >= item_count) return;
-  const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first};
+  const Items items = {item_prims, item_weights, item_positions, item_directions, item_throughputs, is_first
+#if COLORS_VARY
+                       , item_colors
+#endif
+  };
   const Mesh mesh = {positions, indices, normals, face_normals};
   const Surfaces surfaces = {material_ids, materials, textures, texels, srgb_to_linear, uv, uv1, colors};
   const Lights all = {lights, emitters, emitter_slots, power_sums, light_count, emitter_count, inverse_power};

@@ -89,6 +89,11 @@ class Features:
         return self.precision in (Precision.DOUBLE, Precision.EXACT)
 
     @property
+    def colors_vary(self) -> bool:
+        """Whether base colours are more than their materials say (COLORS_VARY of cl/surface.clh)."""
+        return self.textures or self.vertex_colors
+
+    @property
     def nearness_planes(self) -> int:
         """float32 values that a sample's nearness takes where it is kept: one, or an interval's two."""
         return 2 if self.filtered else 1

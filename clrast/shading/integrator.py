@@ -180,7 +180,7 @@ class Integrator:
         filters : whether textures are filtered by footprints.
         """
         footprints = (1 + 4) * ITEM_FOOTPRINT_BYTES + 2 * SLOT_CHANGE_BYTES if filters else 0
-        return 52 + 12 + 16 + 20 + 2 * BYTES_PER_SLOT + 4 * BYTES_PER_RAY + footprints
+        return 52 + 16 + 12 + 16 + 20 + 2 * BYTES_PER_SLOT + 4 * BYTES_PER_RAY + footprints
 
     @staticmethod
     def largest_piece(filters: bool) -> int:
@@ -228,9 +228,8 @@ class Integrator:
     ) -> None:
         """Add to the colour of `pixel_count` samples what secondary rays bring. Waits.
 
-        visible_prims : prim_id or NO_HIT. hits : hit_weights, hit_positions, hit_directions, sample_keys and where
-        textures are filtered hit_footprints, as shade_hits wrote them. values : planes of channels, those of colour
-        from `first_plane` on.
+        visible_prims : prim_id or NO_HIT. hits : what shade_hits left of them, by its arguments. values : planes of
+        channels, those of colour from `first_plane` on.
         """
         if not pixel_count or not self._has_hits(visible_prims, pixel_count):
             return
@@ -245,6 +244,7 @@ class Integrator:
             {"item_prims": visible_prims, "item_weights": hits["hit_weights"],
              "item_positions": hits["hit_positions"], "item_directions": hits["hit_directions"],
              "item_throughputs": hits["hit_weights"],
+             **({"item_colors": hits["hit_colors"]} if self.features.colors_vary else {}),
              **({"item_footprints": hits["hit_footprints"]} if self._filters else {})},
             hits["hit_positions"], visible_prims, hits["sample_keys"],
         )  # fmt: skip
@@ -376,6 +376,8 @@ class Integrator:
             positions=self._mesh["positions"], indices=self._mesh["indices"], **slots, **left, **made, **numbers,
         )  # fmt: skip
         hits = {"item_prims": found["prims_hit"], "item_weights": found["weights"], **made}
+        if self.features.colors_vary:
+            hits["item_colors"] = items.hits["item_colors"]
         return Items(count, False, hits, rays["origins"], numbers["item_pixels"], numbers["item_keys"])
 
     def _count_rays(self, kinds: np.ndarray) -> None:

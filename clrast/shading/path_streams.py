@@ -151,7 +151,7 @@ class PathStreams:
         found = self.tracer.enqueue_closest(RayBuffers(ray_count, arguments, draws=draw), self._room)
         return {
             "item_prims": found["prims_hit"], "item_weights": found["weights"],
-            "item_positions": items["item_positions"],
+            **{name: items[name] for name in ("item_positions", "item_colors") if name in items},
             "item_directions": made["directions"], "item_throughputs": made["item_throughputs"],
             "item_origins": made["origins"], "item_keys": made["item_keys"], "item_pixels": made["item_pixels"],
         }, ray_count  # fmt: skip

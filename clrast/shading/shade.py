@@ -38,6 +38,9 @@ WORK_GROUP = 64
 HIT_BYTES = {"hit_weights": 16, "hit_positions": 16, "hit_directions": 16, "sample_keys": 4}
 """What shade_hits leaves of each sample where rays go on from hits."""
 
+COLOR_BYTES = {"hit_colors": 16}
+"""And of its colour, where that is more than the material says: it is looked up once."""
+
 FOOTPRINT_BYTES = {"hit_footprints": 48}
 """And of what it covers, where textures are filtered."""
 
@@ -69,6 +72,11 @@ class Shader:
         self.integrator = integrator
         self.footprint = 1.0
         self._filters = features.derivatives
+        self._hit_sizes = dict(HIT_BYTES)
+        if features.colors_vary:
+            self._hit_sizes |= COLOR_BYTES
+        if features.derivatives:
+            self._hit_sizes |= FOOTPRINT_BYTES
         self.geometry = geometry
         self.surfaces = surfaces
         self.light_count = light_count
@@ -100,7 +108,7 @@ class Shader:
         self.values = buffers.create(self.device, 4 * len(self.names) * self._capacity)
         self.ids = buffers.create(self.device, 4 * (2 * self._capacity if self.has_ids else 1))
         self.open_pixels = buffers.create(self.device, self._capacity)
-        sizes = {} if self.integrator is None else {**HIT_BYTES, **(FOOTPRINT_BYTES if self._filters else {})}
+        sizes = {} if self.integrator is None else self._hit_sizes
         self._hits = {name: buffers.create(self.device, size * self._capacity) for name, size in sizes.items()}
 
     @staticmethod
