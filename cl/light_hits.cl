@@ -8,7 +8,7 @@
 // Good at: few lights. Bad at: many lights outside of paths (a pass each). Tests: tests/test_modes.py.
 
 #define FOOTPRINTS DERIVATIVES
-#include "surface.clh"
+#include "surface_lanes.clh"
 #include "lighting.clh"
 #include "elementary.clh"
 #include "sampling.clh"

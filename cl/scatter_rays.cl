@@ -10,7 +10,7 @@
 // Good at: few bounces of all pixels at once. Bad at: memory (a ray of each pixel). Tests: tests/test_modes.py.
 
 #define FOOTPRINTS DERIVATIVES
-#include "surface.clh"
+#include "surface_lanes.clh"
 #include "lighting.clh"
 #include "elementary.clh"
 #include "sampling.clh"

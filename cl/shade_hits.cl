@@ -13,7 +13,7 @@
 #include "vector.clh"
 #include "edge_function.clh"
 #define FOOTPRINTS DERIVATIVES
-#include "surface.clh"
+#include "surface_lanes.clh"
 #include "lighting.clh"
 #include "elementary.clh"
 #include "sampling.clh"

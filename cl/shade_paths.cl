@@ -15,7 +15,7 @@
 #include "edge_function.clh"
 #include "settled_tests.clh"
 #include "intersect_triangle.clh"
-#include "surface.clh"
+#include "surface_lanes.clh"
 #include "lighting.clh"
 #include "elementary.clh"
 #include "sampling.clh"

@@ -228,8 +228,8 @@ class Integrator:
     ) -> None:
         """Add to the colour of `pixel_count` samples what secondary rays bring. Waits.
 
-        visible_prims : prim_id or NO_HIT. hits : what shade_hits left of them, by its arguments. values : planes of
-        channels, those of colour from `first_plane` on.
+        visible_prims : prim_id or NO_HIT. hits : what shade_hits left, by its arguments. values : planes, of colour from
+        `first_plane` on.
         """
         if not pixel_count or not self._has_hits(visible_prims, pixel_count):
             return
@@ -375,9 +375,8 @@ class Integrator:
             directions=rays["directions"], pixels_left=items.pixels, keys_left=items.keys,
             positions=self._mesh["positions"], indices=self._mesh["indices"], **slots, **left, **made, **numbers,
         )  # fmt: skip
-        hits = {"item_prims": found["prims_hit"], "item_weights": found["weights"], **made}
-        if self.features.colors_vary:
-            hits["item_colors"] = items.hits["item_colors"]
+        unused = {name: items.hits[name] for name in ("item_colors",) if name in items.hits}
+        hits = {"item_prims": found["prims_hit"], "item_weights": found["weights"], **made, **unused}
         return Items(count, False, hits, rays["origins"], numbers["item_pixels"], numbers["item_keys"])
 
     def _count_rays(self, kinds: np.ndarray) -> None:
