@@ -228,8 +228,7 @@ class Integrator:
     ) -> None:
         """Add to the colour of `pixel_count` samples what secondary rays bring. Waits.
 
-        visible_prims : prim_id or NO_HIT. hits : what shade_hits left, by its arguments. values : planes, of colour from
-        `first_plane` on.
+        visible_prims : prim_id or NO_HIT. hits : left by shade_hits. values : planes, colour from `first_plane` on.
         """
         if not pixel_count or not self._has_hits(visible_prims, pixel_count):
             return
