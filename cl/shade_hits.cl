@@ -62,11 +62,16 @@ INLINE void load_coats(Surfaces surfaces, const Samples *s, const Hits *hits, Co
 
 #if LIT
 // Adds what a light brings, without shadows.
-INLINE Vec3 add_light(global const Light *light, const Hits *hits, const Coats *coats, Vec3 g, Vec3 n, Vec3 to_viewer, Vec3 sum) {
-  const uint only[VECTOR_WIDTH] = {0};
-  const LaneLights lights = gather_lights(light, only);
-  Vec3 to_light;
-  const Vec3 arriving = incoming(&lights, hits->plane.position, &to_light);
+INLINE Vec3 add_light(Light light, const Samples *s, const Hits *hits, const Coats *coats, Vec3 g, Vec3 n, Vec3 to_viewer, Vec3 sum) {
+  float4 places[VECTOR_WIDTH], brought[VECTOR_WIDTH], ways[VECTOR_WIDTH];
+  list_points(hits->plane.position, (float_v)(0.0f), places);
+  for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) brought[lane] = ways[lane] = (float4)(0.0f);
+  for (ulong mask = LANE_MASK(s->is_hit); mask != 0; mask &= mask - 1) {
+    const uint lane = first_lane(mask);
+    brought[lane] = incoming(light, places[lane], ways + lane);
+  }
+  float_v unused;
+  const Vec3 arriving = join_points(brought, &unused), to_light = join_points(ways, &unused);
   const Vec3 sent = multiply3(arriving, reflected_by(coats->finish, n, to_viewer, to_light, LANES >= 0));
   return select3(dot3(g, to_light) > 0.0f, add(sum, sent), sum);
 }
@@ -84,7 +89,7 @@ INLINE Vec3 shade(const Samples *s, const Hits *hits, const Coats *coats, uint l
   const Vec3 n = scale3(hits->shading_normal, side);
 #if LIT
   const Vec3 g = scale3(hits->geometric_normal, side);
-  for (uint i = 0; i < light_count; ++i) radiance = add_light(lights + i, hits, coats, g, n, to_viewer, radiance);
+  for (uint i = 0; i < light_count; ++i) radiance = add_light(lights[i], s, hits, coats, g, n, to_viewer, radiance);
 #else
   radiance = add(radiance, scale3(coats->finish.base, fabs(dot3(n, to_viewer))));
 #endif
