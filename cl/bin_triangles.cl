@@ -18,6 +18,10 @@
 #include "edge_function.clh"
 
 #define TILE_SIZE (1 << TILE_LOG2)
+
+// Rows of tiles of the band.
+INLINE int first_row(View view) { return (int)(view.band_top >> TILE_LOG2); }
+INLINE int last_row(View view) { return (int)((view.band_top + view.band_height - 1) >> TILE_LOG2); }
 #define GROUP_LOG2 2  // a group is 4 x 4 tiles
 #define WALK (-1)     // of a lane: more than one tile
 #define SKIP (-2)     // of a lane: no sample
@@ -63,7 +67,7 @@ INLINE void emit_tile(TileSink sink, View view, BoundedTriangle s, int column, i
   const int left = column << TILE_LOG2, top = row << TILE_LOG2;
   const int x0 = max(s.x0 - left, 0), y0 = max(s.y0 - top, 0);
   const int x1 = min(s.x1 - left, TILE_SIZE), y1 = min(s.y1 - top, TILE_SIZE);
-  const uint tile = (row - view.band_row) * view.tile_columns + column;
+  const uint tile = (row - first_row(view)) * view.tile_columns + column;
   emit_reference(sink, tile, s.prim_id, x0 | y0 << 8 | x1 << 16 | y1 << 24);
 }
 
@@ -176,9 +180,9 @@ INLINE void walk_triangle(
     global const float4 *restrict corners) {
   const int4 tiles = (int4)(
       s.x0 >> TILE_LOG2,
-      max(s.y0 >> TILE_LOG2, (int)view.band_row),
+      max(s.y0 >> TILE_LOG2, first_row(view)),
       (s.x1 - 1) >> TILE_LOG2,
-      min((s.y1 - 1) >> TILE_LOG2, (int)(view.band_row + view.band_rows) - 1));
+      min((s.y1 - 1) >> TILE_LOG2, last_row(view)));
   if (tiles.y > tiles.w) return;
   if ((tiles.z - tiles.x + 1) * (tiles.w - tiles.y + 1) > WIDE_TILE_COUNT) {
     walk_wide(sink, view, s, tiles, corners);
@@ -204,8 +208,8 @@ INLINE void walk_chunk(
     const int_v x1 = AS_INT_V(high & 0xffffu), y1 = AS_INT_V(high >> 16);
     const int_v column = x0 >> TILE_LOG2, row = y0 >> TILE_LOG2;
     const int_v single = (column == (x1 - 1) >> TILE_LOG2) & (row == (y1 - 1) >> TILE_LOG2) &
-                         (row >= (int)view.band_row) & (row < (int)(view.band_row + view.band_rows));
-    const int_v tile = (row - (int)view.band_row) * (int)view.tile_columns + column;
+                         (row >= first_row(view)) & (row <= last_row(view));
+    const int_v tile = (row - first_row(view)) * (int)view.tile_columns + column;
     const int_v left = column << TILE_LOG2, top = row << TILE_LOG2;
     const int_v kinds = single ? tile : (x1 == 0 ? (int_v)(SKIP) : (int_v)(WALK));
     const int_v bounds = (x0 - left) | (y0 - top) << 8 | (x1 - left) << 16 | (y1 - top) << 24;

@@ -40,7 +40,7 @@ INLINE GridWalk resume_walk(View view, Grid grid, float x, float y, uint packed)
 }
 
 INLINE float2 place_of_pixel(View view, uint pixel) {
-  const uint column = pixel % view.width, row = pixel / view.width + (view.band_row << TILE_LOG2);
+  const uint column = pixel % view.width, row = pixel / view.width + view.band_top;
   return (float2)((float)column + (view.sample_x - view.center_x), (float)row + (view.sample_y - view.center_y));
 }
 

@@ -122,7 +122,7 @@ INLINE void store_square(View view, int left, int top, const Square *square, uin
                          global uint *restrict sample_prims) {
   for (uint k = 0; k < square->count; ++k) {
     const uint block = square->blocks[k], row = block / TILE_SIZE, column = block % TILE_SIZE;
-    const size_t pixel = (size_t)(top + square->top + row - (view.band_row << TILE_LOG2)) * view.width + left + square->left + column;
+    const size_t pixel = (size_t)(top + square->top + row - view.band_top) * view.width + left + square->left + column;
     if (everywhere) {
       const int_v center = (int)center_prims[pixel];
       int_v others = 0;
@@ -141,7 +141,7 @@ INLINE void add_costs(View view, int left, int top, const Square *square, const 
                       global uint *restrict cost) {
   for (uint k = 0; k < square->count; ++k) {
     const uint block = square->blocks[k], row = block / TILE_SIZE, column = block % TILE_SIZE;
-    const size_t pixel = (size_t)(top + square->top + row - (view.band_row << TILE_LOG2)) * view.width + left + square->left + column;
+    const size_t pixel = (size_t)(top + square->top + row - view.band_top) * view.width + left + square->left + column;
     uint evaluations[VECTOR_WIDTH];
     STORE_V(samples->evaluations[block], evaluations);
     for (uint lane = 0; lane < VECTOR_WIDTH; ++lane) cost[pixel] += evaluations[lane];
@@ -189,7 +189,7 @@ kernel void rasterize_samples(
 {
   const uint tile = get_global_id(0);
   if (tile >= tile_count) return;
-  const int left = tile % view.tile_columns << TILE_LOG2, top = (tile / view.tile_columns + view.band_row) << TILE_LOG2;
+  const int left = tile % view.tile_columns << TILE_LOG2, top = (tile / view.tile_columns << TILE_LOG2) + view.band_top;
   const uint begin = tile_begin[tile], end = min(tile_begin[tile + 1], reference_capacity);
   TileFrame frame;
 #if ALPHA_MASK

@@ -114,7 +114,7 @@ kernel void rasterize_tiles(
   const uint tile = get_global_id(0);
   if (tile >= tile_count) return;
   const uint column = tile % view.tile_columns, row = tile / view.tile_columns;
-  const int left = column << TILE_LOG2, top = (row + view.band_row) << TILE_LOG2;
+  const int left = column << TILE_LOG2, top = (row << TILE_LOG2) + view.band_top;
 #if !KEEP_NEARNESS
   if (tile_begin[tile] == tile_begin[tile + 1]) {
     clear_tile(view, left, top, visible_prims);

@@ -59,7 +59,7 @@ static bool mask_lets_pass(const Ground *g, uint prim_id, Place at) {
 
 // Lets one contender take its sample, if it must.
 static void settle_contender(const Ground *g, uint pixel, uint prim_id, volatile global uint *visible_prims, Rungs *rungs) {
-  const uint column = pixel % g->view.width, row = pixel / g->view.width + (g->view.band_row << TILE_LOG2);
+  const uint column = pixel % g->view.width, row = pixel / g->view.width + g->view.band_top;
   const Place place = {(int)(256 * column) + (int)(256.0f * g->view.sample_x), (int)(256 * row) + (int)(256.0f * g->view.sample_y)};
 #if PLANAR
   const Place at = place;

@@ -180,7 +180,7 @@ kernel void group_samples(
   if (item >= edge_count) return;
   const uint pixel = edge_pixels[first_edge + item];
   const float left = (float)(pixel % view.width) - view.center_x;
-  const float top = (float)(pixel / view.width + (view.band_row << TILE_LOG2)) - view.center_y;
+  const float top = (float)(pixel / view.width + view.band_top) - view.center_y;
   const Ground g = {view, surface_distance, positions, indices, object_ids, material_ids};
   PixelSurfaces s;
   s.prims[0] = center_prims[pixel];

@@ -90,7 +90,7 @@ kernel void flag_surfaces(
   const uint center = center_prims[pixel];
   const Ground g = {view, surface_distance, positions, indices, object_ids, material_ids};
   const float x = (float)(pixel % view.width) - view.center_x + 0.5f;
-  const float y = (float)(pixel / view.width + (view.band_row << TILE_LOG2)) - view.center_y + 0.5f;
+  const float y = (float)(pixel / view.width + view.band_top) - view.center_y + 0.5f;
   global const uint *samples = sample_prims + (size_t)pixel * VISIT_SAMPLES;
   const uint16 shown = vload16(0, samples);
   // Each triangle once.
@@ -158,7 +158,7 @@ kernel void meet_strata(
   const size_t slot = slots[item];
   const Ground g = {view, surface_distance, positions, indices, object_ids, material_ids};
   const float left = (float)(pixel % view.width) - view.center_x;
-  const float top = (float)(pixel / view.width + (view.band_row << TILE_LOG2)) - view.center_y;
+  const float top = (float)(pixel / view.width + view.band_top) - view.center_y;
   Strata s = begins ? no_strata() : load_strata(slot, stratum_prims, stratum_counts);
   const uint is_open = begins ? (1u << STRATA) - 1 : open[slot];
   uint chosen_count = 0;

@@ -209,7 +209,7 @@ kernel void traverse_frusta(
   const uint item = get_global_id(0);
   if (item >= frustum_count) return;
   const int left = item % view.tile_columns << TILE_LOG2;
-  const int top_row = (item / view.tile_columns + view.band_row) << TILE_LOG2;
+  const int top_row = (item / view.tile_columns << TILE_LOG2) + view.band_top;
   Scene s = {view, make_frame(view, left, top_row), left, top_row, (int)small_ratio, corners, prims, bounds_low,
              bounds_high, nearest, children, slot_counts, node_low, node_high, node_nearest, 0};
 #if FILTERED

@@ -41,6 +41,7 @@ def _prepare_loader() -> None:
 
 assert "pyopencl" not in sys.modules, "pyopencl was loaded before conftest.py could set up its loader"
 _prepare_loader()
+os.environ.setdefault("CLRAST_KEEP_BINARIES", "off")  # each takes as long as the program took to compile
 
 from clrast.opencl import device as devices  # noqa: E402
 

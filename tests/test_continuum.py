@@ -49,12 +49,6 @@ PROPERTY = settings(
 POINTS = {**ROWS, **MADE_UP}
 
 
-@pytest.fixture(autouse=True)
-def _no_stored_binaries(monkeypatch: pytest.MonkeyPatch) -> None:
-    """To store a hundred programs takes longer than to build them, and would push those of other tests out."""
-    monkeypatch.setenv("CLRAST_CACHE_DIR", "off")
-
-
 _EXPECTED: dict[object, dict[str, np.ndarray]] = {}
 """What the reference method found first, by setting and scene: on every device, at every width, the same."""
 

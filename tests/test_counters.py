@@ -21,13 +21,6 @@ from clrast.study.exact_visibility import exact_visibility
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import resolve_method
 
-
-@pytest.fixture(autouse=True)
-def _no_stored_binaries(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in test_continuum.py."""
-    monkeypatch.setenv("CLRAST_CACHE_DIR", "off")
-
-
 SIDE = 64
 VIEW = orthographic(SIDE, SIDE)
 """A pixel is a unit, the sample (x, y) lies at world (x, -y)."""

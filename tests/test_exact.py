@@ -32,12 +32,6 @@ TILE_METHODS = [name for name, row in METHODS.items() if row.tiles and row.oracl
 LONG_SEEDS = 120
 
 
-@pytest.fixture(autouse=True)
-def _no_stored_binaries(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Binaries of so many programs would push those of other tests out."""
-    monkeypatch.setenv("CLRAST_CACHE_DIR", "off")
-
-
 @cache
 def world_and_answer(family: str, seed: int, projection: str | None, max_side: int = 70) -> tuple[World, np.ndarray]:
     """A world and the exact prim_id (height, width) of its samples."""

@@ -45,12 +45,6 @@ PASSES = ("raycast-grid-multipass", ())
 BUDGET = 1 << 28
 
 
-@pytest.fixture(autouse=True)
-def _no_stored_binaries(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Programs of these tests are for them alone."""
-    monkeypatch.setenv("CLRAST_CACHE_DIR", "off")
-
-
 @pytest.fixture
 def free(device: Device) -> Device:
     """A device without a limit on loops; on others grids are refused, which one test looks at."""

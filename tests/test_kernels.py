@@ -12,6 +12,7 @@ import pytest
 
 from clrast.errors import DeviceError
 from clrast.opencl import buffers, kernels, layout
+from clrast.opencl.binary_maker import kept_binaries
 from clrast.opencl.device import Device
 
 FILL = """
@@ -89,19 +90,46 @@ def test_a_broken_binary_in_the_cache_is_replaced(
 ) -> None:
     cache = tmp_path / "cache"
     monkeypatch.setenv("CLRAST_CACHE_DIR", str(cache))
+    monkeypatch.setenv("CLRAST_KEEP_BINARIES", "on")
     main = "kernel void set(global int *out) { out[0] = 7; }\n"
-    kernels.build(device, "a.cl", folder=write(tmp_path / "first", a_cl=main))
+    with kept_binaries():
+        kernels.build(device, "a.cl", folder=write(tmp_path / "first", a_cl=main))
     files = list(cache.glob("*.bin"))
     assert len(files) == (1 if device.runtime in ("pocl", "intel") else 0)
     for damage in (lambda whole: b"no program", lambda whole: whole[:-10], lambda whole: whole[:-1] + b"?"):
         for file in files:
             file.write_bytes(damage(file.read_bytes()))
         out = buffers.create(device, 4)
-        program = kernels.build(replace(device, programs={}), "a.cl", folder=tmp_path / "first")
-        program.launch("set", 1, 1, out=out)
+        with kept_binaries():
+            program = kernels.build(replace(device, programs={}), "a.cl", folder=tmp_path / "first")
+            program.launch("set", 1, 1, out=out)
         assert buffers.download(device, out, np.int32, 1).tolist() == [7]
         for file in files:
             assert len(file.read_bytes()) > 100
+
+
+def test_binaries_are_made_where_they_are_asked_for_alone(
+    first_device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache = tmp_path / "cache"
+    monkeypatch.setenv("CLRAST_CACHE_DIR", str(cache))
+    monkeypatch.setenv("CLRAST_KEEP_BINARIES", "on")
+    folder = write(tmp_path / "programs", a_cl="kernel void set(global int *out) { out[0] = 7; }\n")
+    kernels.build(replace(first_device, programs={}), "a.cl", folder=folder)
+    monkeypatch.setenv("CLRAST_KEEP_BINARIES", "off")
+    with kept_binaries():
+        kernels.build(replace(first_device, programs={}), "a.cl", folder=folder)
+    monkeypatch.setenv("CLRAST_KEEP_BINARIES", "on")
+    assert not list(cache.glob("*.bin"))
+    with pytest.raises(ZeroDivisionError), kept_binaries() as maker:
+        kernels.build(replace(first_device, programs={}), "a.cl", folder=folder)
+        1 // 0
+    assert not maker.is_busy
+    with kept_binaries() as maker:
+        maker.ask("kernel void wrong(", "", "no-such-program.bin")
+        kernels.build(replace(first_device, programs={}), "a.cl", folder=folder)
+    assert not maker.is_busy
+    assert len(list(cache.iterdir())) == (1 if first_device.runtime in ("pocl", "intel") else 0)
 
 
 @pytest.mark.small

@@ -133,7 +133,7 @@ def check_settings(
     """One thread and a cold cache from the project's folder; then two, a warm one, and a folder far away."""
     cache, far = folder / "cache", folder / "far away"
     far.mkdir()
-    settings = {"CLRAST_VECTOR_WIDTH": str(width), "CLRAST_CACHE_DIR": str(cache)}
+    settings = {"CLRAST_VECTOR_WIDTH": str(width), "CLRAST_CACHE_DIR": str(cache), "CLRAST_KEEP_BINARIES": "on"}
     kinds = [(one, way) for one in wanted for way in ("whole", "bands")] + [(wanted[-1], "repeat")]
     # `auto` may build more in one run than in another: times decide there what it tries.
     method = ("--method", "3dr-binning")
@@ -165,6 +165,7 @@ def test_two_at_once_with_cold_caches(runtime: str, references: References, tmp_
     environment = {name: str(tmp_path / folder) for name, folder in caches.items()}
     for folder in environment.values():
         Path(folder).mkdir()
+    environment["CLRAST_KEEP_BINARIES"] = "on"
     kinds = [(references.renders["lamps"], "whole")]
     options = ("--device", runtime)
     workers = [start(tmp_path / str(k), kinds, options, CLRAST_VECTOR_WIDTH="1", **environment) for k in range(2)]

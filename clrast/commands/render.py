@@ -22,6 +22,7 @@ from clrast.commands.stats import complete_stats, report_lines, summary, to_json
 from clrast.commands.viewpoint import VIEW_NAMES, View, make_view
 from clrast.errors import EXIT_BUDGET, EXIT_INTERRUPTED, EXIT_OK, InputNotFoundError, OutputError, UsageError
 from clrast.image.header import effects_text
+from clrast.opencl.binary_maker import kept_binaries
 from clrast.options import OPTION_NAMES, RenderOptions, make_options
 from clrast.shading.watch import Watch
 
@@ -46,6 +47,11 @@ class Job:
     json: bool = False
     quiet: bool = False
     times_ms: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether times decide something, or are what is asked for."""
+        return "repeat" in self.given or "time_budget" in self.given
 
 
 def render_command(
@@ -103,6 +109,11 @@ def run(values: Mapping[str, Any], started: float) -> int:
     job = make_job(values, started)
     check_input(job.source)
     job.outputs.check_writable()
+    with nullcontext() if job.is_timed else kept_binaries():
+        return _run(job)
+
+
+def _run(job: Job) -> int:
     watch = Watch()
     try:
         stats = _render_and_write(job, watch)

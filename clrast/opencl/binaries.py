@@ -7,6 +7,7 @@ import hashlib
 import os
 import platform
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,9 @@ on PoCL 3.1: 1 ms against 20 to 35 ms from PoCL's own cache of sources)."""
 MOST_BINARIES = 300
 """Files in the cache; a program takes 60 to 300 KB."""
 
+
+wishes: list[Callable[[str, str, str], None]] = []
+"""Each takes source, options and the file's name of a program whose binary is not in the cache."""
 
 DIGEST_BYTES = 32
 """A SHA-256 stands in front of every stored binary."""
@@ -46,7 +50,10 @@ def cache_folder() -> Path | None:
 
 
 def build_source(context: Any, handle: Any, source: str, options: str) -> Any:
-    """A built pyopencl program from source text, by way of the cache of binaries where the runtime profits."""
+    """A built pyopencl program from source text, or from the cache of binaries.
+
+    A binary that is not there yet is wished for; see binary_maker.py.
+    """
     import pyopencl as cl
 
     path = _binary_path(handle, source, options)
@@ -56,10 +63,11 @@ def build_source(context: Any, handle: Any, source: str, options: str) -> Any:
             os.utime(path)  # `_save_binary` removes those that were not used for longest
             return program
         except Exception:  # a stale or broken binary: build from source and write it anew
-            pass
+            path.unlink(missing_ok=True)
     program = _raw_build(cl._cl._Program(context, source), options)
     if path is not None:
-        _save_binary(path, program)
+        for wish in wishes:
+            wish(source, options, path.name)
     return program
 
 
@@ -116,6 +124,18 @@ def _processor() -> str:
     except OSError:
         return platform.processor()
     return "\n".join(line for line in first.splitlines() if line.startswith(("model name", "flags", "Features", "CPU")))
+
+
+def make_binary(handle: Any, source: str, options: str, file_name: str) -> bool:
+    """Build a program for a pyopencl device and keep its binary, if it is the one that belongs under this name."""
+    import pyopencl as cl
+
+    path = _binary_path(handle, source, options)
+    if path is None or path.name != file_name:
+        return False
+    if not path.is_file():
+        _save_binary(path, _raw_build(cl._cl._Program(cl.Context([handle]), source), options))
+    return True
 
 
 def _save_binary(path: Path, program: Any) -> None:

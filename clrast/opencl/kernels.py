@@ -240,8 +240,9 @@ def arguments_from_source(source: str, kernel: str) -> list[Argument]:
 SCALAR_PROGRAMS = ("prepare_triangles.cl", "settle_contenders.cl", "share_shading.cl", "stratify_samples.cl")
 """Programs whose work-items are the lanes: vectors have one lane there, and edges are 3D, whatever decides samples."""
 
-SPATIAL_PROGRAMS = ("shade_hits.cl",)
-"""Programs whose edges are 3D, whatever decides samples."""
+SHADE_PROGRAMS = ("shade_hits.cl",)
+"""Programs that evaluate what was found visible: their edges are 3D, each rung above `ordered` has the edge normals of
+`midpoint`, and sums along rows are of visibility alone."""
 
 MASKED = ("alpha_mask", "alpha_blend", "textures", "vertex_colors")
 
@@ -264,8 +265,9 @@ def build(device: Device, name: str, features: Features | None = None, folder: P
     features = features or Features(vector_width=device.vector_width)
     if name in SCALAR_PROGRAMS:
         features = replace(features, vector_width=1, edges=Edges.SPATIAL)
-    if name in SPATIAL_PROGRAMS:
-        features = replace(features, edges=Edges.SPATIAL)
+    if name in SHADE_PROGRAMS:
+        rung = min(features.precision, Precision.MIDPOINT)
+        features = replace(features, edges=Edges.SPATIAL, precision=rung, evaluation=0)
     if name in RAY_PROGRAMS:
         width, stack = features.vector_width, features.stack_capacity
         kept = {name: getattr(features, name) for name in ("prefetch", "leaf_order", "indirect", *MASKED)}

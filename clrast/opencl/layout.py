@@ -42,8 +42,8 @@ VIEW = np.dtype(
         ("height", "<u4"),
         ("tile_columns", "<u4"),
         ("tile_rows", "<u4"),
-        ("band_row", "<u4"),  # first tile row of this band
-        ("band_rows", "<u4"),  # tile rows in this band
+        ("band_top", "<u4"),  # first row of this band
+        ("band_height", "<u4"),  # rows in this band: whole tiles, unless the image ends
     ]
 )
 """The camera and the image, as every kernel gets them."""

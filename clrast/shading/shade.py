@@ -84,6 +84,7 @@ class Shader:
         self.names = channel_names(groups)
         self.has_ids = "id" in groups
         self._program = kernels.build(device, "shade_hits.cl", features)
+        self._features = features
         self._lanes = features.vector_width
         self._planes = np.zeros((), dtype=PLANES)
         for group in PLANES.names or ():
@@ -155,7 +156,7 @@ class Shader:
 
     def close_pixels(self, front_nearness: Any, front_prims: Any, pixel_count: int) -> None:
         """Enqueue: where the last layer is opaque or empty, nothing behind it will be found."""
-        self._program.launch(
+        kernels.build(self.device, "close_pixels.cl", self._features).launch(
             "close_pixels",
             -(-pixel_count // WORK_GROUP) * WORK_GROUP,
             WORK_GROUP,

@@ -211,7 +211,7 @@ def study_accuracy(
     warm, errors = _warm_up(pool, chosen, reference, left_out, keep, show)
     long = [name for name in _ran_before(chosen) if warm.get(name, 0.0) > 1000 * budget_s / LONG_PART]
     chosen = [each for each in chosen if each.name in warm]
-    wrong = _count_wrong(pool, chosen, show)
+    wrong = _count_wrong(pool, chosen, options, method, show)
 
     def unclear(times: Mapping[str, Mapping[int, float]]) -> set[str]:
         noise = noise_of(times.values())
@@ -303,12 +303,18 @@ def _ran_before(chosen: list[Setting]) -> list[str]:
 _KERNELS_OF = {"none": "none", "ssaa": "ssaa:2", "msaa": "msaa:2", "csaa": "csaa:1+1", "auto": "auto:1.0"}
 
 
-PLAIN: dict[str, Any] = {"aa": "none", "filter": "box", "shading_rate": "pixel", "half": False}
-"""What decides nothing at the pixels' centres."""
+VISIBILITY = ("precision", "evaluation", "method", "grid_resolution")
+"""Options that decide which triangle a sample shows."""
 
 
-def _count_wrong(pool: JobPool, chosen: list[Setting], show: Show) -> dict[str, int]:
-    """Samples at the pixels' centres that show another triangle than exact arithmetic does; no AA changes them."""
+def _count_wrong(
+    pool: JobPool, chosen: list[Setting], base: RenderOptions, method: str, show: Show
+) -> dict[str, int]:
+    """Pixels whose centres show another triangle than exact arithmetic does; no other option than VISIBILITY acts.
+
+    base : the default setting, whose programs do for most; method : that of the exact image.
+    """
+    base = replace(base, aov=("color", "id"), aa="none", filter="box", shading_rate="pixel", half=False, samples=1)
     found: list[tuple[RenderOptions, np.ndarray]] = []
 
     def prims(options: RenderOptions) -> np.ndarray:
@@ -322,11 +328,11 @@ def _count_wrong(pool: JobPool, chosen: list[Setting], show: Show) -> dict[str, 
         pool.drop("ids")
         return found[-1][1]
 
+    exact = prims(replace(base, precision="exact", evaluation="direct", method=method))
     wrong: dict[str, int] = {}
     for setting in chosen:
-        plain = replace(setting.options, aov=("id",), **PLAIN)
-        exact = prims(replace(plain, precision="exact", evaluation="direct"))
-        wrong[setting.name] = int(np.count_nonzero(prims(plain) != exact))
+        own = replace(base, **{name: getattr(setting.options, name) for name in VISIBILITY})
+        wrong[setting.name] = int(np.count_nonzero(prims(own) != exact))
     return wrong
 
 

@@ -22,6 +22,7 @@ from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import Method
 from clrast.visibility.screen_bounds import ScreenBounds, round_up
 from clrast.visibility.settle import ContenderList
+from clrast.visibility.view import band_tile_count, set_band
 from clrast.visibility.work import WorkCounters
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ class FrustumTraversal:
 
     def start_band(self, band_row: int, band_rows: int) -> int:
         """Choose the band that is rendered next; returns 0, as there are no lists."""
-        self.view["band_row"], self.view["band_rows"] = band_row, band_rows
+        set_band(self.view, band_row, band_rows, self.features.tile_log2)
         return 0
 
     def finish_lists(self) -> None:
@@ -152,7 +153,7 @@ class FrustumTraversal:
             self.contenders.decide(self.view, self._decide_samples, self.visible_prims, self.nearness, layer, front)
 
     def _decide_samples(self, layer: int, front: tuple[cl.Buffer, cl.Buffer] | None) -> None:
-        frustum_count = int(self.view["band_rows"]) * int(self.view["tile_columns"])
+        frustum_count = band_tile_count(self.view, self.features.tile_log2)
         arguments: dict[str, Any] = {
             "view": self.view,
             "frustum_count": frustum_count,
@@ -170,7 +171,7 @@ class FrustumTraversal:
         if self.contenders is not None:
             arguments |= self.contenders.sample_arguments()
         if self.work is not None:
-            arguments |= self.work.of_samples(self.view, self.features.tile_log2, frustum_count)
+            arguments |= self.work.of_samples(self.view, frustum_count)
         if self.features.keep_nearness:
             front_nearness, front_prims = front or (self.nearness, self.visible_prims)
             arguments |= {

@@ -24,6 +24,7 @@ from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.screen_bounds import BOUND_BYTES, round_up
 from clrast.visibility.settle import ContenderList
 from clrast.visibility.tiles import TileRasterizer
+from clrast.visibility.view import band_pixel_count
 from clrast.visibility.work import WorkCounters
 
 if TYPE_CHECKING:
@@ -164,9 +165,7 @@ class GridRaycaster(TileRasterizer):
 
     def band_pixel_count(self) -> int:
         """Pixels of the band."""
-        first = int(self.view["band_row"]) << self.features.tile_log2
-        rows = min(int(self.view["band_rows"]) << self.features.tile_log2, int(self.view["height"]) - first)
-        return rows * int(self.view["width"])
+        return band_pixel_count(self.view)
 
     def _ray_arguments(self, layer: int, front: tuple[cl.Buffer, cl.Buffer] | None) -> dict[str, Any]:
         """What every kernel takes that tests triangles."""

@@ -20,6 +20,7 @@ from clrast.visibility.geometry import Geometry
 from clrast.visibility.loop_limits import chunk_size_within, loop_limit, reference_span_within
 from clrast.visibility.screen_bounds import ScreenBounds, round_up
 from clrast.visibility.settle import ContenderList
+from clrast.visibility.view import band_tile_count, set_band
 from clrast.visibility.work import WorkCounters
 
 if TYPE_CHECKING:
@@ -104,7 +105,7 @@ class TileRasterizer:
 
     def count_references(self, band_row: int, band_rows: int) -> None:
         """Count the (tile, triangle) pairs of a band, which decide how much memory its lists take."""
-        self.view["band_row"], self.view["band_rows"] = band_row, band_rows
+        set_band(self.view, band_row, band_rows, self.features.tile_log2)
         self._stride = round_up(band_rows * int(self.view["tile_columns"]), TILE_PAD)
         program = "bin_triangles.cl"
         self._launch(program, "count_tile_triangles", self.bounds.chunk_count, **self._bin_arguments())
@@ -161,7 +162,7 @@ class TileRasterizer:
             reference_bounds=self._reference_bounds,
         )
         if self._limit is not None:
-            self._fit_references(int(self.view["band_rows"]) * int(self.view["tile_columns"]))
+            self._fit_references(band_tile_count(self.view, self.features.tile_log2))
 
     def start_band(self, band_row: int, band_rows: int) -> int:
         """Count the references of the band that is rendered next; returns their number. Waits."""
@@ -202,7 +203,7 @@ class TileRasterizer:
             self.contenders.decide(self.view, self._decide_samples, self.visible_prims, self.nearness, layer, front)
 
     def _decide_samples(self, layer: int, front: tuple[cl.Buffer, cl.Buffer] | None) -> None:
-        tile_count = int(self.view["band_rows"]) * int(self.view["tile_columns"])
+        tile_count = band_tile_count(self.view, self.features.tile_log2)
         common = {
             "view": self.view,
             "tile_count": tile_count,
@@ -217,7 +218,7 @@ class TileRasterizer:
         if self.contenders is not None:
             common |= self.contenders.sample_arguments()
         if self.work is not None:
-            common |= self.work.of_samples(self.view, self.features.tile_log2, tile_count)
+            common |= self.work.of_samples(self.view, tile_count)
         if not self.features.keep_nearness:
             self._launch("rasterize_tiles.cl", "rasterize_tiles", tile_count, **common)
             return
@@ -263,8 +264,8 @@ class TileRasterizer:
         if self._sample_program is None:
             self._sample_program = kernels.build(self.device, "rasterize_samples.cl", self.features)
         x, y = (buffers.upload(self.device, each) for each in positions)
-        tile_count = int(self.view["band_rows"]) * int(self.view["tile_columns"])
-        counted = {} if self.work is None else self.work.of_samples(self.view, self.features.tile_log2, tile_count)
+        tile_count = band_tile_count(self.view, self.features.tile_log2)
+        counted = {} if self.work is None else self.work.of_samples(self.view, tile_count)
         self._sample_program.launch(
             "rasterize_samples", tile_count, 1, view=self.view, tile_count=tile_count,
             reference_capacity=self.reference_capacity, everywhere=int(places is None), stride=stride,
@@ -288,7 +289,7 @@ class TileRasterizer:
 
     def tile_lists(self) -> list[np.ndarray]:
         """prim_ids of each tile of the band, in their order. Waits."""
-        tile_count = int(self.view["band_rows"]) * int(self.view["tile_columns"])
+        tile_count = band_tile_count(self.view, self.features.tile_log2)
         begin = buffers.download(self.device, self._tile_begin, np.uint32, tile_count + 1)
         assert self._reference_prims is not None
         prims = buffers.download(self.device, self._reference_prims, np.uint32, self.reference_count)

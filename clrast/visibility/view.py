@@ -124,8 +124,24 @@ def build_view(camera: CameraVectors, low: np.ndarray, high: np.ndarray, tile_lo
     tile = 1 << tile_log2
     view["tile_columns"] = (camera.width + tile - 1) // tile
     view["tile_rows"] = (camera.height + tile - 1) // tile
-    view["band_rows"] = view["tile_rows"]
+    set_band(view, 0, int(view["tile_rows"]), tile_log2)
     return view
+
+
+def set_band(view: np.ndarray, band_row: int, band_rows: int, tile_log2: int) -> None:
+    """Let a view speak of so many rows of tiles from `band_row` on."""
+    top = band_row << tile_log2
+    view["band_top"], view["band_height"] = top, min(band_rows << tile_log2, int(view["height"]) - top)
+
+
+def band_tile_count(view: np.ndarray, tile_log2: int) -> int:
+    """Tiles of a view's band."""
+    return (-(-int(view["band_height"]) >> tile_log2)) * int(view["tile_columns"])
+
+
+def band_pixel_count(view: np.ndarray) -> int:
+    """Pixels of a view's band."""
+    return int(view["band_height"]) * int(view["width"])
 
 
 def _set_planar(view: np.ndarray, camera: CameraVectors, scale: float, low: np.ndarray, high: np.ndarray) -> None:

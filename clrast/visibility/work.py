@@ -9,6 +9,7 @@ import numpy as np
 from clrast.opencl import buffers
 from clrast.opencl.device import Device
 from clrast.opencl.layout import WORK_COUNTERS
+from clrast.visibility.view import band_pixel_count
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -50,12 +51,9 @@ class WorkCounters:
             self._clear_rows()
         return self._rows
 
-    def of_samples(self, view: np.ndarray, tile_log2: int, item_count: int) -> dict[str, Any]:
+    def of_samples(self, view: np.ndarray, item_count: int) -> dict[str, Any]:
         """Arguments of a kernel that decides the samples of the view's band."""
-        first_row = int(view["band_row"]) << tile_log2
-        row_count = min(int(view["band_rows"]) << tile_log2, int(view["height"]) - first_row)
-        pixel_count = row_count * int(view["width"])
-        return {"work": self.rows(item_count), "cost": self.cost, "pixel_count": pixel_count}
+        return {"work": self.rows(item_count), "cost": self.cost, "pixel_count": band_pixel_count(view)}
 
     def collect(self) -> dict[str, int]:
         """Totals of the frame so far, by the names of WORK_COUNTERS. Waits."""
