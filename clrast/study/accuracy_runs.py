@@ -22,6 +22,7 @@ from clrast.renderer import start_job
 from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Scene
 from clrast.shading.effects import plan_effects
+from clrast.visibility.cost_model import DEFAULT as USUAL_METHOD
 from clrast.visibility.methods import AUTO
 
 FEWEST_ROUNDS, MOST_ROUNDS = 7, 40
@@ -29,6 +30,7 @@ SHARE_OF_UNCLEAR = 4
 """A setting whose place is not clear may take so many times its share of the budget."""
 LONG_PART = 30
 """A warm-up frame that took such a part of the budget counts as a measured one, where nothing was compiled in it."""
+METHOD_TRIALS = 3
 POOL_SHARE = 0.25
 """Part of the device's memory that jobs may keep between their turns."""
 
@@ -108,12 +110,20 @@ class JobPool:
 
 
 def choose_method(device: Device, scene: Scene, vectors: CameraVectors, options: RenderOptions) -> str:
-    """The method of all settings: the one named, or what `auto` takes for the default."""
+    """The method of all settings: the one named, or what `auto` takes for the default.
+
+    One trial of two methods that are nearly as fast is a coin toss, by which all times of a study would differ: only
+    what each of METHOD_TRIALS trials takes replaces the usual method.
+    """
     if options.method != AUTO:
         return options.method
     plan = plan_effects(scene, options.aov, options.effects, options.mode)
-    job = start_job(device, scene, vectors, replace(options, precision=_spatial(options.precision)), plan)
-    return job.method.name
+    options = replace(options, precision=_spatial(options.precision))
+    for _ in range(METHOD_TRIALS):
+        name = start_job(device, scene, vectors, options, plan).method.name
+        if name == USUAL_METHOD:
+            break
+    return name
 
 
 def _spatial(precision: str) -> str:
