@@ -23,6 +23,7 @@ from clrast.visibility.grid import Grid
 from clrast.visibility.grid_rays import GridRaycaster
 from clrast.visibility.oracles import OracleChoice
 from clrast.visibility.settle import ContenderList
+from clrast.visibility.view import band_pixel_count
 from clrast.visibility.work import WorkCounters
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ class GridPasses(GridRaycaster):
     def _cast_rays(self, layer: int, front: tuple[cl.Buffer, cl.Buffer] | None) -> None:
         """Run passes until no ray is active. Waits."""
         counts = {TRAVERSE: 0, INTERSECT: 0}
-        pixel_count = self.band_pixel_count()
+        pixel_count = band_pixel_count(self.view)
         arguments = self._ray_arguments(layer, front)
         self._run_pass("generate_eye_rays", pixel_count, self._streams[TRAVERSE][1], counts, cells=self._ray_cells,
                        view=self.view, grid=self._grid_struct)  # fmt: skip

@@ -132,7 +132,7 @@ class GridRaycaster(TileRasterizer):
 
     def _launch_blocks(self, program: kernels.Program, arguments: dict[str, Any]) -> None:
         width = int(self.view["width"])
-        columns, rows = -(-width // RAY_BLOCK), -(-(self.band_pixel_count() // width) // RAY_BLOCK)
+        columns, rows = -(-width // RAY_BLOCK), -(-int(self.view["band_height"]) // RAY_BLOCK)
         arguments |= {"block_columns": columns, "block_count": columns * rows, "late": self._late}
         if self.work is not None:
             arguments |= {"work": self.work.rows(columns * rows), "cost": self.work.cost}
@@ -145,7 +145,7 @@ class GridRaycaster(TileRasterizer):
         A word is a cell that was entered, or TRACE_* | prim_id of a triangle that was tested. Waits.
         """
         program = kernels.build(self.device, "traverse_grid.cl", replace(self.features, trace=True))
-        pixel_count = self.band_pixel_count()
+        pixel_count = band_pixel_count(self.view)
         counts = buffers.create(self.device, 4 * pixel_count)
         buffers.fill(self.device, counts, np.uint32(0), 4 * pixel_count)
         begin, total = np.zeros(pixel_count, dtype=np.uint64), 0
@@ -163,17 +163,13 @@ class GridRaycaster(TileRasterizer):
         assert words is not None
         return found, buffers.download(self.device, words, np.uint32, total)
 
-    def band_pixel_count(self) -> int:
-        """Pixels of the band."""
-        return band_pixel_count(self.view)
-
     def _ray_arguments(self, layer: int, front: tuple[cl.Buffer, cl.Buffer] | None) -> dict[str, Any]:
         """What every kernel takes that tests triangles."""
         front_nearness, front_prims = front or (self.nearness, self.visible_prims)
         arguments: dict[str, Any] = {
             "view": self.view,
             "grid": self._grid_struct,
-            "pixel_count": self.band_pixel_count(),
+            "pixel_count": band_pixel_count(self.view),
             "layer": layer,
             "front_nearness": front_nearness,
             "front_prims": front_prims,
