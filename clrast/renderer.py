@@ -30,13 +30,16 @@ from clrast.shading.effects import EffectPlan, plan_effects
 from clrast.shading.watch import Watch
 from clrast.visibility.cost_model import (
     CANDIDATE,
-    DEFAULT,
+    TRIAL_FRAMES,
     is_worth_a_trial,
     reason_of_trial,
+    reason_without_choice,
     reason_without_trial,
 )
 from clrast.visibility.loop_limits import loop_limit
-from clrast.visibility.methods import AUTO, SNAPPED_DEFAULT, resolve_method
+from clrast.visibility.methods import AUTO, resolve_method
+from clrast.visibility.sample_patterns import parse_antialiasing
+from clrast.visibility.tiles import TileRasterizer
 
 _ONE_AT_A_TIME = threading.Lock()
 """Threads share a device's kernels, whose arguments are set before each launch: renders take turns."""
@@ -150,21 +153,28 @@ def start_job(
     job = RenderJob(device, scene, vectors, options, plan, accumulation=accumulation)
     if options.method != AUTO or options.casts_grid:
         return job
-    if options.precision == "fixed":
-        job.reason = f"{SNAPPED_DEFAULT}: --precision fixed is for projected vertices"
-        return job
-    if loop_limit(device) is not None or len(job.bands) > 1 or options.memory is not None:
-        job.reason = f"{DEFAULT}: nothing else is tried on this device, in bands or under a memory budget"
+    antialiasing = parse_antialiasing("--aa", options.aa)
+    job.reason = reason_without_choice(
+        options.precision,
+        lists_samples=antialiasing.kind == "auto" and isinstance(job.tiles, TileRasterizer) and job.tiles.takes_samples,
+        is_limited=loop_limit(device) is not None or len(job.bands) > 1 or options.memory is not None,
+    )  # fmt: skip
+    if job.reason is not None:
         return job
     started = time.perf_counter()
+    passes = max(1, len(antialiasing.pattern))
     job.time_frame()  # the first one waits for what the driver still compiles
-    default = job.time_frame()
+    default = job.time_frame().with_passes(passes)
     counts = job.count_view()
     if is_worth_a_trial(counts, default):
         method = resolve_method(CANDIDATE, evaluation=options.evaluation)
         other = RenderJob(device, scene, vectors, options, plan, method, accumulation)
         other.time_frame()
-        candidate, default = other.time_frame(), job.time_frame()
+        pairs = [(job.time_frame(), other.time_frame()) for _ in range(TRIAL_FRAMES)]
+        default, candidate = (
+            min((each.with_passes(passes) for each in times), key=lambda each: each.total)
+            for times in zip(*pairs, strict=True)
+        )
         job.reason = other.reason = reason_of_trial(default, candidate)
         if candidate.total < default.total:
             job = other

@@ -236,8 +236,9 @@ def _with_color(groups: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _by_method(options: RenderOptions, method: str) -> RenderOptions:
-    """The options with the method of all settings; `fixed`, which few methods have, keeps `auto`."""
-    is_free = options.method == AUTO and options.precision != "fixed"
+    """The options with the method of all settings; `fixed` and `--aa auto`, which have their own, keep `auto`."""
+    has_own = options.precision == "fixed" or parse_antialiasing("--aa", options.aa).kind == "auto"
+    is_free = options.method == AUTO and not has_own
     return replace(options, method=method) if is_free else options
 
 
@@ -289,18 +290,22 @@ def _warm_up(
 
 
 def _ran_before(chosen: list[Setting]) -> list[str]:
-    """Settings whose kernels an earlier one has: nothing is compiled in their first frame."""
+    """Settings whose kernels an earlier one has: nothing is compiled in their first frame.
+
+    `auto` is none of them: PoCL compiles its kernels once more for the lengths of its lists, which EPS decides.
+    """
     known: list[RenderOptions] = []
     names = []
     for setting in chosen:
-        kernels = replace(setting.options, aa=_KERNELS_OF[parse_antialiasing("--aa", setting.options.aa).kind])
+        kind = parse_antialiasing("--aa", setting.options.aa).kind
+        kernels = replace(setting.options, aa=_KERNELS_OF.get(kind, setting.options.aa))
         if kernels in known:
             names.append(setting.name)
         known.append(kernels)
     return names
 
 
-_KERNELS_OF = {"none": "none", "ssaa": "ssaa:2", "msaa": "msaa:2", "csaa": "csaa:1+1", "auto": "auto:1.0"}
+_KERNELS_OF = {"none": "none", "ssaa": "ssaa:2", "msaa": "msaa:2", "csaa": "csaa:1+1"}
 
 
 VISIBILITY = ("precision", "evaluation", "method", "grid_resolution")

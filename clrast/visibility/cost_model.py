@@ -8,7 +8,9 @@ Davidovic et al., '3D Rasterization', section 5, compares the methods; Fig. 9 is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from clrast.visibility.methods import SNAPPED_DEFAULT
 
 DEFAULT = "3dr-binning"
 CANDIDATE = "3dr-full"
@@ -19,6 +21,9 @@ SETUP_RATIO = 1.7
 
 LEAST_GAIN, LEAST_GAIN_MS = 0.1, 1.0
 """Share of the default's time, and milliseconds, that must be in sight: a trial builds a tree and kernels."""
+
+TRIAL_FRAMES = 3
+"""Frames of each method in a trial, in turns, whose fastest counts: one of each is a coin toss."""
 
 BINNED_REFERENCE, BINNED_BOUND_SAMPLE = 7.1, 0.11
 FULL_SEEN_TRIANGLE, FULL_HIT = 39.0, 2.2
@@ -41,11 +46,15 @@ class ViewCounts:
 
 @dataclass(frozen=True)
 class StageTimes:
-    """Milliseconds of one frame."""
+    """Milliseconds of one frame. visibility : of all passes."""
 
     setup: float
     bin: float
     visibility: float
+
+    def with_passes(self, count: int) -> StageTimes:
+        """Those of a frame with `count` passes over one setup and binning, where this one has one."""
+        return replace(self, visibility=count * self.visibility)
 
     @property
     def total(self) -> float:
@@ -63,6 +72,21 @@ def is_worth_a_trial(counts: ViewCounts, default: StageTimes) -> bool:
     """Whether CANDIDATE may be faster than the default by what is worth it."""
     gain = default.total - least_time_of_candidate(counts, default)
     return gain > max(LEAST_GAIN * default.total, LEAST_GAIN_MS)
+
+
+def reason_without_choice(precision: str, *, lists_samples: bool, is_limited: bool) -> str | None:
+    """Why nothing else than the default is tried, if so, whatever the view is.
+
+    precision : a rung's name. lists_samples : `--aa auto`, whose listed samples the default alone decides together.
+    is_limited : the device ends long loops, the image is rendered in bands, or there is a memory budget.
+    """
+    if precision == "fixed":
+        return f"{SNAPPED_DEFAULT}: --precision fixed is for projected vertices"
+    if lists_samples:
+        return f"{DEFAULT}: it alone decides samples of --aa auto together, without a pass for each"
+    if is_limited:
+        return f"{DEFAULT}: nothing else is tried on this device, in bands or under a memory budget"
+    return None
 
 
 def reason_without_trial(counts: ViewCounts, default: StageTimes) -> str:
