@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adversarial_worlds import FAMILIES, make_world
-from continuum_world import differences, glass_and_leaves, images, oblique, soup, sphere, through_samples
+from continuum_world import depths, differences, glass_and_leaves, images, oblique, soup, sphere, through_samples
 from kernel_world import NO_HIT, make_scene, orthographic, perspective, start
 
 from clrast.errors import CapacityError, DeviceError
@@ -197,6 +197,15 @@ def test_the_automatic_choice_balances_references_and_cells(free: Device) -> Non
         ratio = grid.reference_count / grid.shape.cell_count / BALANCE
         assert 0.5 < ratio < 2.0 and (grid.shape.counts, grid.reference_count) in grid.trials
         assert build(free, scene, None).shape == grid.shape
+
+
+def test_layers_are_not_cut_into_cells_without_end(free: Device) -> None:
+    """However fine, half of the cells hold all of the layers: a finer grid than is tried second is no better."""
+    grid = build(free, make_scene(depths(200)), None)
+    assert [counts[2] for counts, _ in grid.trials] == [1, 1]
+    assert grid.shape.counts == grid.trials[0][0] and grid.shape.cell_count <= 2 * 200
+    few, many = (references / (columns * rows * layers) for (columns, rows, layers), references in grid.trials)
+    assert many > 0.6 * few > 0.6 * 100
 
 
 def test_a_grid_that_does_not_fit_is_refused_before_it_is_made(free: Device) -> None:

@@ -6,7 +6,7 @@ import ast
 import itertools
 import math
 import re
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -125,14 +125,20 @@ MOST_COMBINATIONS = 300
 """Of one program; where its features have more, all values of every two of them are combined, the others default."""
 
 
-def combinations_in_use(source: str, device: Device) -> list[Features]:
-    """The features that a program of that text may be built for, as far as that can be done in minutes."""
+def values_that_are_read(source: str, device: Device) -> dict[str, list]:
+    """The features that a program of that text reads, with all values that each may have on the device."""
     defines = " ".join(Features().defines(source))
     values = {f.name: values_in_use(f.name) for f in fields(Features) if f"-D {f.name.upper()}=" in defines}
     if "prefetch" in values and device.runtime not in PREFETCHING:
         values["prefetch"] = [False]  # never asked for there: see runtimes.py
     if "float64" in values and not device.has_fp64:
         values["float64"] = [False]
+    return values
+
+
+def combinations_in_use(source: str, device: Device) -> list[Features]:
+    """The features that a program of that text may be built for, as far as that can be done in minutes."""
+    values = values_that_are_read(source, device)
     together = [tuple(values)] if math.prod(map(len, values.values())) <= MOST_COMBINATIONS else []
     made = {
         Features(**dict(zip(names, chosen, strict=True)))
@@ -162,17 +168,33 @@ def test_contraction_is_off_from_the_first_line_of_a_program(name: str) -> None:
     assert kernels.source_text(name).startswith("#pragma OPENCL FP_CONTRACT OFF\n")
 
 
+BUILDS = 6
+"""Of each program: no feature has more values."""
+SWITCHED_ON = list(itertools.combinations(range(BUILDS), BUILDS // 2))[: math.comb(BUILDS, BUILDS // 2) // 2]
+"""In which builds a feature of two values has the second, feature by feature: half of them, and of any two features
+all four pairs of values, as no two sets are the same or each other's rest."""
+
+
+def covering_features(source: str, device: Device) -> list[Features]:
+    """BUILDS features that have every value of each between them, and pairs of switches as far as SWITCHED_ON goes."""
+    values, made = values_that_are_read(source, device), []
+    switches = [name for name, of in values.items() if len(of) == 2]
+    for k in range(BUILDS):
+        chosen = {name: of[k % len(of)] for name, of in values.items() if name not in switches}
+        for name, on in zip(switches, itertools.cycle(SWITCHED_ON)):
+            chosen[name] = values[name][k in on]
+        made.append(Features(**chosen))
+    return made
+
+
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_programs_build_for_each_single_feature(device: Device, name: str) -> None:
-    base = Features(vector_width=device.vector_width)
-    kernels.build(device, name, base)
-    for field in fields(Features):
-        for value in values_in_use(field.name):
-            if field.name == "prefetch" and value and device.runtime not in PREFETCHING:
-                continue  # never asked for there: see runtimes.py
-            if field.name == "float64" and value and not device.has_fp64:
-                continue
-            kernels.build(device, name, replace(base, **{field.name: value}))
+def test_programs_build_with_every_value_of_every_feature(device: Device, name: str) -> None:
+    source = kernels.source_text(name)
+    covering = covering_features(source, device)
+    for field, values in values_that_are_read(source, device).items():
+        assert {getattr(features, field) for features in covering} == set(values)
+    for features in covering:
+        kernels.build(device, name, features)
 
 
 @pytest.mark.long

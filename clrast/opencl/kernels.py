@@ -251,6 +251,9 @@ RAY_PROGRAMS = ("trace_rays.cl", "trace_list.cl", "pack_leaves.cl", "leave_hits.
 float64, the order of triangles, the stack's capacity and what decides whether rays pass surfaces; what else views are
 made of leaves them as they are."""
 
+UNMASKED_PROGRAMS = ("trace_list.cl",)
+"""Of RAY_PROGRAMS those that know no surfaces: they serve scenes where no ray passes one."""
+
 PATH_PROGRAMS = ("shade_paths.cl",)
 """Programs that look surfaces up for paths and let rays leave them: as exact as RAY_PROGRAMS, with all
 that surfaces are made of, unfiltered."""
@@ -270,7 +273,8 @@ def build(device: Device, name: str, features: Features | None = None, folder: P
         features = replace(features, edges=Edges.SPATIAL, precision=rung, evaluation=0)
     if name in RAY_PROGRAMS:
         width, stack = features.vector_width, features.stack_capacity
-        kept = {name: getattr(features, name) for name in ("prefetch", "leaf_order", "indirect", *MASKED)}
+        read = ("prefetch", "leaf_order", *(() if name in UNMASKED_PROGRAMS else ("indirect", *MASKED)))
+        kept = {feature: getattr(features, feature) for feature in read}
         features = Features(width, precision=Precision.EXACT, float64=features.float64, stack_capacity=stack, **kept)
     if name in PATH_PROGRAMS:
         features = replace(features, precision=Precision.EXACT, projection=Projection.PERSPECTIVE, edges=Edges.SPATIAL,

@@ -50,6 +50,12 @@ MAX_TRIALS = 4
 NEAR_ENOUGH = 1.15
 """Ratio to BALANCE within which a resolution is taken."""
 
+LEAST_SLOPE = 0.1
+"""Of log(references / cells) over log(cells), falling: under it cells are finer without gain, as across layers."""
+
+MAX_GROWTH = 64.0
+"""Of cells from one trial to the next: references may grow as much."""
+
 MAX_AUTO_CELLS = 1 << 25
 MIN_AUTO_CELLS = 8
 
@@ -223,7 +229,8 @@ class GridBuilder:
 
     def _choose(self, trials: list[tuple[tuple[int, int, int], int]]) -> tuple[GridShape, int]:
         """A resolution whose references a cell come near BALANCE. Between two trials log(references / cells) is taken
-        as linear in log(cells); before there are two, as falling by half of it."""
+        as linear in log(cells); before there are two, as falling by half of it. Where it does not fall, the coarser of
+        the two is as good."""
         most = min(MAX_AUTO_CELLS, self.budget // (2 * CELL_BYTES))
         wanted = FIRST_DENSITY * self.triangle_count
         found: list[tuple[float, float, GridShape]] = []
@@ -242,8 +249,11 @@ class GridBuilder:
             slope = -0.5
             if len(found) > 1 and found[-1][0] != found[-2][0]:
                 slope = (found[-1][1] - found[-2][1]) / (found[-1][0] - found[-2][0])
+                if slope > -LEAST_SLOPE:
+                    found.remove(max(found[-2:], key=lambda each: each[0]))
+                    break
                 slope = min(max(slope, -1.0), -0.2)
-            wanted = math.exp(found[-1][0] - found[-1][1] / slope)
+            wanted = shape.cell_count * min(math.exp(-found[-1][1] / slope), MAX_GROWTH)
         best = min(found, key=lambda each: abs(each[1]))[2]
         references = self._count(best)
         if self._bytes(best, references) > self.budget:  # the smallest tried, if any fits
