@@ -128,7 +128,12 @@ def update_golden(request: pytest.FixtureRequest) -> bool:
 _deselected: list[str] = []
 
 
+LONGEST_FILES = ("test_continuum.py", "test_runtimes.py", "test_scenes_render.py", "test_projections.py")
+"""First of all: a worker takes a file whole, and one that begins the longest last leaves the others idle."""
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.path.name not in LONGEST_FILES)
     if config.getoption("--long"):
         return
     long = [item for item in items if item.get_closest_marker("long")]

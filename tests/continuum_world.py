@@ -168,7 +168,7 @@ def hard_scenes(projection: str) -> dict[str, tuple[Scene, CameraVectors]]:
         "1e8": (make_scene(1e8 * soup(7, 100)), oblique(projection, 48, 50, 1e8)),
         "1e-8": (make_scene(1e-8 * soup(8, 100)), oblique(projection, 50, 31, 1e-8)),
         "layers": (make_scene(depths(200)), short(70, 64)),
-        "1e30": (make_scene(overflowing(30)), oblique(projection, 60, 40)),
+        "1e30": (make_scene(overflowing(30)), oblique(projection, 36, 20)),  # wide integers decide every sample
     }
 
 
