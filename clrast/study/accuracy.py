@@ -320,25 +320,21 @@ def _count_wrong(
     base : the default setting, whose programs do for most; method : that of the exact image.
     """
     base = replace(base, aov=("color", "id"), aa="none", filter="box", shading_rate="pixel", half=False, samples=1)
-    found: list[tuple[RenderOptions, np.ndarray]] = []
+    found: dict[tuple[object, ...], np.ndarray] = {}
 
     def prims(options: RenderOptions) -> np.ndarray:
-        for known, image in found:
-            if known == options:
-                return image
-        show(f"{options.precision}: counting wrong samples")
-        pool.add("ids", options)
-        pool.first_frame("ids")
-        found.append((options, pool.prims("ids")))
-        pool.drop("ids")
-        return found[-1][1]
+        own = {name: getattr(options, name) for name in VISIBILITY}
+        key = tuple(own.values())
+        if key not in found:
+            show(f"{options.precision}: counting wrong samples")
+            pool.add("ids", replace(base, **own))
+            pool.first_frame("ids")
+            found[key] = pool.prims("ids")
+            pool.drop("ids")
+        return found[key]
 
     exact = prims(replace(base, precision="exact", evaluation="direct", method=method))
-    wrong: dict[str, int] = {}
-    for setting in chosen:
-        own = replace(base, **{name: getattr(setting.options, name) for name in VISIBILITY})
-        wrong[setting.name] = int(np.count_nonzero(prims(own) != exact))
-    return wrong
+    return {each.name: int(np.count_nonzero(prims(each.options) != exact)) for each in chosen}
 
 
 def _own_rmse(rows: tuple[Row, ...], reference_samples: int) -> float | None:
