@@ -161,7 +161,7 @@ class RenderJob:
         if self.features.keep_nearness:
             per_pixel += 4 * planes
         if self.plan["alpha blend"]:
-            per_pixel += 4 + 4 * planes
+            per_pixel += 8 + 4 * planes
         if self.method.passes:
             per_pixel += STATE_BYTES
         if self.features.counters:
@@ -308,20 +308,27 @@ class RenderJob:
                 channels["id.prim"][first_row : first_row + row_count] = prims
 
     def _render_layers(self, pixel_count: int, shader: Shader) -> None:
-        """Add what lies behind BLEND surfaces, layer by layer; each layer lies strictly behind the last."""
+        """Add what lies behind BLEND surfaces, layer by layer; each layer lies strictly behind the last.
+
+        `tiles.visible_prims` stays what the samples show first.
+        """
         layer, size = 0, 4 * pixel_count
         nearness_size = size * self.features.nearness_planes
-        front_nearness, front_prims = (buffers.create(self.device, each) for each in (nearness_size, size))
+        sizes = (nearness_size, size, size)
+        front_nearness, front_prims, own_prims = (buffers.create(self.device, each) for each in sizes)
+        first_prims = self.tiles.visible_prims
         assert self.tiles.nearness is not None
         while shader.has_open_pixels(pixel_count):
             layer += 1
             buffers.copy(self.device, self.tiles.nearness, front_nearness, nearness_size)
             buffers.copy(self.device, self.tiles.visible_prims, front_prims, size)
+            self.tiles.visible_prims = own_prims
             shader.close_pixels(front_nearness, front_prims, pixel_count)
             self._timed("visibility", partial(self.tiles.rasterize, layer, (front_nearness, front_prims)))
             self.passes += 1
             shade = partial(shader.shade, self.tiles.view, self.tiles.visible_prims, pixel_count, layer)
             self._timed("shade", shade)
+        self.tiles.visible_prims = first_prims
 
     def bytes_device(self) -> int:
         """Bytes of all device buffers of this job."""

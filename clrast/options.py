@@ -330,6 +330,12 @@ METHODS_OF_ANY_VIEW = tuple(
 """Without a grid: its rays are walked as those of a plane."""
 
 
+def check_single_view(projection: str, study: str) -> None:
+    """Raises UsageError for a projection of several views, of which a study has one."""
+    if projection == "cube":
+        raise UsageError(f"{study} measures one view, and cube is six: use another --projection")
+
+
 def cube_side(size: tuple[int, int]) -> int:
     """Pixels a side of a cube's face, for the size of the image, W x 6W, or of one face, W x W; raises UsageError."""
     width, height = size

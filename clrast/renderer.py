@@ -135,10 +135,13 @@ def render_cube(scene: Scene, camera: Camera, options: RenderOptions, watch: Wat
 
 
 def add_counts(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Sums of the numbers under each name; what is None anywhere stays None."""
+    """Sums of the numbers under each name; what is None anywhere stays None, and a list is that of the last table."""
     names = {name: None for table in tables for name in table}
     found = {name: [table.get(name, 0) for table in tables] for name in names}
-    return {name: None if None in values else sum(values) for name, values in found.items()}
+    return {
+        name: None if None in values else values[-1] if isinstance(values[-1], list) else sum(values)
+        for name, values in found.items()
+    }
 
 
 def start_job(

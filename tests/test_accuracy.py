@@ -257,6 +257,13 @@ def test_rungs_of_other_methods_are_left_out() -> None:
     assert "3dr-full projects none" in settings.left_out["precision fixed"]
 
 
+def test_what_does_not_go_with_the_view_is_left_out() -> None:
+    settings = make_settings(BASE, projection="latlong")
+    for name in ("precision fixed", "evaluation incremental", "grid"):
+        assert "latlong is none" in settings.left_out[name] or "latlong has sines" in settings.left_out[name]
+    assert all(each.options.method != "raycast-grid" for each in settings.chosen)
+
+
 def test_names_of_the_table_are_unique() -> None:
     assert len(set(KNOB_NAMES)) == len(KNOB_NAMES) == len(KNOBS) + 1
 

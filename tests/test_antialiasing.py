@@ -439,7 +439,7 @@ def lamps(tmp_path_factory: pytest.TempPathFactory) -> clrast.Scene:
 
 
 def small_view(runtime: str, scene: clrast.Scene, **options: object) -> clrast.Frame:
-    return clrast.render(scene, size=(40, 36), **{"device": runtime, "method": "3dr-binning", **options})
+    return clrast.render(scene, **{"size": (40, 36), "device": runtime, "method": "3dr-binning", **options})
 
 
 def check_bits(device: Device, scene: clrast.Scene, options: dict[str, object]) -> None:
@@ -577,6 +577,19 @@ def test_bands_do_not_show(lamps: clrast.Scene, rate: str) -> None:
     assert bands.stats["counts"]["samples"] == whole.stats["counts"]["samples"] == 5 * 40 * 36
     for name in whole:
         np.testing.assert_array_equal(bands[name], whole[name], err_msg=name)
+
+
+def test_bands_do_not_show_where_surfaces_blend(room: clrast.Scene) -> None:
+    """What lies behind panes in one band decides nothing in another: pixels are listed by what is in front."""
+    runtime, options = next(iter(runtimes().working)), {"aa": "auto:0.1", "camera": "plan", "size": (64, 120)}
+    whole = small_view(runtime, room, **options)
+    with settings(tile_log2=3):
+        bands = small_view(runtime, room, memory=least_memory(runtime, room, **options), **options)
+    assert bands.stats["other_counts"]["bands"] > 2
+    for name in whole:
+        np.testing.assert_array_equal(bands[name], whole[name], err_msg=name)
+    for count in ("edge_pixels", "samples_shaded"):
+        assert bands.stats["other_counts"][count] > 0
 
 
 def test_wide_filters_want_the_image_in_one_band(lamps: clrast.Scene) -> None:

@@ -99,6 +99,47 @@ def test_options_that_a_mode_does_not_read_are_named(
         assert f"--{name} is not used in mode {mode}" in line
 
 
+@pytest.mark.parametrize(
+    ("arguments", "unread"),
+    [
+        (("--filter", "tent", "--shading-rate", "sample"), ("filter", "shading-rate")),
+        (("--aa", "ssaa:2", "--filter", "tent", "--shading-rate", "sample"), ("shading-rate",)),
+        (("--aa", "auto:0.1", "--shading-rate", "auto"), ("shading-rate",)),
+        (("--aa", "msaa:2", "--filter", "tent", "--shading-rate", "sample"), ()),
+    ],
+    ids=" ".join,
+)
+def test_options_that_antialiasing_does_not_read_are_named(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: Any, unread: tuple[str, ...]
+) -> None:
+    assert render(folder, "lit", *arguments) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "is not used by --aa" in line]
+    assert {line.split("--")[1].split()[0] for line in lines} == set(unread)
+
+
+def test_antialiasing_of_no_colour_is_in_no_header(folder: Path) -> None:
+    """The pixels are the same, so the files are."""
+    files = []
+    for more in ((), ("--aa", "msaa:4", "--filter", "tent"), ("--quality", "draft")):
+        assert render(folder, "lit", "--aov", "id", *more) == 0
+        files.append((folder / "out.exr").read_bytes())
+    assert files[0] == files[1] == files[2]
+    assert entry(header(folder, "lit", "--aov", "color,id", "--aa", "msaa:4"), "aa") == "msaa:4"
+
+
+def test_samples_that_cannot_share_shading_are_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where surfaces blend each sample has layers of its own: the note names the mode that it is."""
+    glass = CARD.replace('name = "mirror"', 'name = "mirror"\nalpha_mode = "BLEND"') + 'material = "mirror"\n'
+    (folder / "glass.toml").write_text(glass.replace("1.0, 1.0, 1.0, 1.0", "1.0, 1.0, 1.0, 0.5"))
+    for name, aa, same in (("glass", "csaa:2+6", "ssaa:2"), ("glass", "msaa:4", "ssaa:4"), ("lit", "msaa:4", None)):
+        out = str(folder / "out.exr")
+        assert main(["render", str(folder / f"{name}.toml"), "-o", out, "--size", "16x16", "--aa", aa]) == 0
+        lines = [line for line in capsys.readouterr().err.splitlines() if "surfaces blend here" in line]
+        assert len(lines) == (same is not None) and all(line.endswith(f"those of {same}") for line in lines)
+    found = clrast.Frame.load(folder / "out.exr")
+    assert found.header["aa"] == "msaa:4"
+
+
 def test_headers_say_what_decides_pixels(folder: Path) -> None:
     """The mode always; depth where rays go on, samples and seed where they are drawn, as they were resolved."""
     cast = header(folder, "lit")

@@ -22,6 +22,7 @@ from clrast.opencl.device import Device
 from clrast.options import METHODS_OF_ANY_VIEW
 from clrast.scene.camera import CameraVectors
 from clrast.scene.model import Camera, Material, Scene
+from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.sample_generator import SampleRays, sample_rays
 from clrast.visibility.sample_patterns import UNITS, pattern_of
 
@@ -336,6 +337,25 @@ def test_a_cube_map_is_laid_out_as_openexr_has_it(first_device: Device, tmp_path
     assert b"envmap\0envmap\0\1\0\0\0\1" in (tmp_path / "cube.exr").read_bytes()
     whole = renderer.render(scene, camera, size=(16, 96), aov="ray,position,id", device=first_device.runtime)
     assert all((whole[name].view(np.uint32) == frame[name].view(np.uint32)).all() for name in frame)
+
+
+def test_a_cube_map_through_a_grid(first_device: Device, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Counts that are lists are those of a face: all have one grid. Studies have one view, and refuse six."""
+    if loop_limit(first_device) is not None:
+        pytest.skip("grids are refused here")
+    frames = []
+    for method in ("raycast-grid", "3dr-binning"):
+        camera = Camera("probe", "cube", (0.25, -0.5, 1.0), (0.25, -0.5, 1.0))
+        options = {"size": (16, 16), "aov": "depth,id", "device": first_device.runtime}
+        frames.append(renderer.render(ball(1), camera, method=method, **options))
+    assert all((frames[0][name] == frames[1][name]).all() for name in frames[0])
+    columns, rows, layers = frames[0].stats["other_counts"]["grid"]
+    assert min(columns, rows, layers) >= 1
+    scene = tmp_path / "one.obj"
+    scene.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    for study in ("accuracy", "cost", "compare"):
+        assert main([study, str(scene), "--projection", "cube", "--size", "8x8"]) == 64
+        assert f"{study} measures one view" in capsys.readouterr().err
 
 
 # --- the command line ------------------------------------------------------------------------------

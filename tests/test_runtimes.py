@@ -37,8 +37,8 @@ NAMES_OF_SETTINGS = {
     ("pocl", 1): ("room",), ("pocl", 8): ("room",), ("intel", 1): ("room",), ("intel", 8): ("room",),
     ("rusticl", 8): ("lamps",), ("rusticl", 16): (),
 }  # fmt: skip
-"""What is rendered where not all of NAMES: all else runs with --long. Mesa 22.3 builds wide kernels in 5 to 20 s without
-MASK, with it in 20 to 100 s."""
+"""What is rendered where not all of NAMES; the rest runs with --long. Mesa 22.3 builds wide kernels in 5 to 20 s
+without MASK, with it in 20 to 100 s."""
 KEPT_BINARIES = {1: "off", 8: "off", 16: "on"}
 """Each takes as long as its program took to compile: for one width they are made."""
 

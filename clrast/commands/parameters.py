@@ -79,8 +79,14 @@ Precision = Annotated[
     ),
 ]
 Antialiasing = Annotated[
-    Texts, _option("--aa", metavar="MODE", text="none [default], ssaa:N, msaa:N, csaa:S+C or auto:EPS.", panel=ACCURACY)
-]
+    Texts,
+    _option(
+        "--aa", metavar="MODE", panel=ACCURACY,
+        text="none [default]; ssaa:N, all of N samples shaded (1 to 1024); msaa:N, each surface of N samples (2, 4, 8, "
+        "16, 32); csaa:S+C, S of them with depth, C that say only whose they are (32 in all); auto:EPS, samples until "
+        "a colour is estimated to be within EPS (1e-6 to 1).",
+    ),
+]  # fmt: skip
 ShadingRate = Annotated[
     Texts,
     _option(
@@ -91,9 +97,11 @@ ShadingRate = Annotated[
 Filter = Annotated[
     Texts,
     _option(
-        "--filter", metavar="NAME", text="Of samples: box [default], tent, gaussian, blackman-harris.", panel=ACCURACY
+        "--filter", metavar="NAME", panel=ACCURACY,
+        text="Of samples: box [default]; tent, gaussian, blackman-harris, which reach into neighbours: with ssaa, or "
+        "msaa and csaa that shade by pixel, in images that fit into memory whole.",
     ),
-]
+]  # fmt: skip
 Evaluation = Annotated[
     Texts,
     _option(
@@ -106,7 +114,13 @@ Samples = Annotated[
     Texts, _option("--samples", metavar="N", text="Paths of a sample in mode path [default: 16].", panel=ACCURACY)
 ]
 Seed = Annotated[Texts, _option("--seed", metavar="N", text="Of random numbers [default: 0].", panel=ACCURACY)]
-MaxDepth = Annotated[Texts, typer.Option("--max-depth", metavar="N", hidden=True)]
+MaxDepth = Annotated[
+    Texts,
+    _option(
+        "--max-depth", metavar="N", panel=ACCURACY,
+        text="Reflections and refractions of a ray, or bounces of a path, modes whitted and path [default: 8].",
+    ),
+]  # fmt: skip
 Quality = Annotated[
     Texts,
     _option(

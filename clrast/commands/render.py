@@ -241,10 +241,11 @@ def _without_color(frame: Frame, scene: Scene, options: RenderOptions) -> Frame:
     channels = {name: values for name, values in frame.channels.items() if name not in CHANNEL_GROUPS["color"]}
     plan = plan_effects(scene, options.aov, options.effects, options.mode)
     effects = effects_text(effect.name for effect in plan.effects if effect.on)
-    # Without colour no ray goes on from a hit.
-    of_color = ("max_depth", "samples", "seed", *(() if plan["derivatives"] else ("derivatives",)))
+    # Without colour no ray goes on from a hit, and nothing is antialiased.
+    of_color = ["max_depth", "samples", "seed", "shading_rate", "filter"]
+    of_color += [] if plan["derivatives"] else ["derivatives"]
     kept = {name: value for name, value in frame.header.items() if name not in of_color}
-    return type(frame)(channels, {**kept, "effects": effects}, frame.stats)
+    return type(frame)(channels, {**kept, "aa": "none", "effects": effects}, frame.stats)
 
 
 def _write(frame: Frame, exr_frame: Frame, request: Request, job: Job) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from clrast.option_values import UnavailableError
 from clrast.options import RenderOptions, make_options, parse_effects
 from clrast.quality import with_preset
 from clrast.scene.model import Camera, Scene
+from clrast.visibility.sample_patterns import parse_antialiasing
 
 if TYPE_CHECKING:
     from clrast.image.frame import Frame
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 UNUSED_OUTSIDE = {"samples": ("path",), "max_depth": ("whitted", "path")}
 """Options that only some modes read."""
+
+UNUSED_BY_AA = {"filter": ("none",), "shading_rate": ("none", "ssaa", "auto")}
+"""Options that some kinds of `--aa` do not read."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,22 @@ def make_request(scene: Scene, view: View, given: Mapping[str, Any], source: str
     """
     options, warnings = merge_options(scene, given, source)
     choice: Choice = choose_camera(scene, view, options.size, source)
-    return Request(options, choice.camera, choice.notes, (*warnings, *choice.warnings))
+    notes = (*choice.notes, *_notes_of_layers(scene, options))
+    return Request(options, choice.camera, notes, (*warnings, *choice.warnings))
+
+
+def _notes_of_layers(scene: Scene, options: RenderOptions) -> tuple[str, ...]:
+    """What becomes of samples that share shading where each has layers of its own."""
+    from clrast.shading.antialias import antialiasing_of
+    from clrast.shading.effects import plan_effects
+
+    wanted = antialiasing_of(options)
+    if wanted.kind not in ("msaa", "csaa"):
+        return ()
+    if not plan_effects(scene, options.aov, options.effects, options.mode)["alpha blend"]:
+        return ()
+    same = f"ssaa:{wanted.depth_count}"
+    return (f"surfaces blend here, so --aa {options.aa} shades each sample: time and image are those of {same}",)
 
 
 def merge_options(scene: Scene, given: Mapping[str, Any], source: str) -> tuple[RenderOptions, tuple[str, ...]]:
@@ -70,6 +89,10 @@ def merge_options(scene: Scene, given: Mapping[str, Any], source: str) -> tuple[
     for name, modes in UNUSED_OUTSIDE.items():
         if name in given and options.mode not in modes and "effects" not in given:
             warnings.append(f"--{name.replace('_', '-')} is not used in mode {options.mode}: it is ignored")
+    kind = parse_antialiasing("--aa", options.aa).kind
+    for name, kinds in UNUSED_BY_AA.items():
+        if name in given and kind in kinds:
+            warnings.append(f"--{name.replace('_', '-')} is not used by --aa {options.aa}: it is ignored")
     return options, tuple(warnings)
 
 

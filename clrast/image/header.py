@@ -42,6 +42,8 @@ def resolved_header(
         "aa": options.aa,
         "effects": effects_text(effects_on),
     }
+    if "color" not in options.aov:  # nothing else is antialiased
+        header["aa"] = "none"
     on = set(effects_on)
     if "derivatives" in on and options.effects.get("derivatives") == COARSE:
         header["derivatives"] = COARSE
@@ -49,9 +51,9 @@ def resolved_header(
         header["max_depth"] = str(options.depth)
     if "indirect light" in on:
         header["samples"], header["seed"] = str(options.path_count), str(options.seed)
-    if options.aa != "none" and options.shading_rate != "pixel":
+    if header["aa"] != "none" and options.shading_rate != "pixel":
         header["shading_rate"] = options.shading_rate
-    if options.aa != "none" and options.filter != "box":
+    if header["aa"] != "none" and options.filter != "box":
         header["filter"] = options.filter
     if options.evaluation != "direct":
         header["evaluation"] = options.evaluation

@@ -18,7 +18,7 @@ import numpy as np
 from clrast.errors import DeviceError, UsageError
 from clrast.image.header import resolved_header
 from clrast.opencl.device import Device, open_device
-from clrast.options import RenderOptions
+from clrast.options import RenderOptions, check_single_view
 from clrast.scene.camera import CameraVectors, camera_vectors
 from clrast.scene.model import Camera, Scene
 from clrast.shading.effects import plan_effects
@@ -196,9 +196,11 @@ def study_accuracy(
 
     knobs : names of those to turn. budget_s : seconds of measured frames.
     """
+    check_single_view(camera.projection, "accuracy")
     options = replace(options, counters=False, repeat=0, aov=_with_color(options.aov))
     options.check_together()
-    settings = make_settings(options, reference_samples, knobs)
+    options.check_projection(camera.projection)
+    settings = make_settings(options, reference_samples, knobs, projection=camera.projection)
     vectors = camera_vectors(camera, *options.size)
     device = open_device(options.device, options.threads)
     method = choose_method(device, scene, vectors, options)

@@ -6,8 +6,9 @@ version refuses is left out with its reason, so that a row may stand here before
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from clrast.errors import UsageError
@@ -110,21 +111,23 @@ def make_settings(
     names: Sequence[str] = KNOB_NAMES,
     knobs: Sequence[Knob] = KNOBS,
     combinations: Sequence[Changes] = COMBINATIONS,
+    projection: str = "perspective",
 ) -> Settings:
     """Each knob alone from `base`, then the combinations; and what the reference is rendered with.
 
-    names : of the knobs to turn, of KNOB_NAMES; the reference takes its values of all.
+    names : of the knobs to turn, of KNOB_NAMES; the reference takes its values of all. projection : of the view.
     """
+    check = partial(_check, reference_samples=reference_samples, projection=projection)
     chosen = [Setting(DEFAULT, DEFAULT, {}, base)]
     left_out: dict[str, str] = {}
     for knob in (each for each in knobs if each.name in names):
         refused: dict[str, str] = {}
         for changes in knob.settings:
-            _add(chosen, refused, base, knob, changes, reference_samples)
+            _add(chosen, refused, base, knob, changes, check)
         whole = len(refused) == len(knob.settings) and len(set(map(_general, refused.values()))) == 1
         left_out.update({knob.name: next(iter(refused.values()))} if whole else refused)
     for changes in combinations if COMBINATION in names else ():
-        _add(chosen, left_out, base, Knob(COMBINATION, ()), changes, reference_samples)
+        _add(chosen, left_out, base, Knob(COMBINATION, ()), changes, check)
     return Settings(tuple(chosen), left_out, _reference(base, reference_samples, knobs))
 
 
@@ -146,7 +149,7 @@ def _general(reason: str) -> str:
 
 def _add(
     chosen: list[Setting], refused: dict[str, str], base: RenderOptions, knob: Knob, changes: Changes,
-    reference_samples: int,
+    check: Callable[[RenderOptions], None],
 ) -> None:  # fmt: skip
     """Add a setting that is not there yet, or the reason why it cannot be."""
     name = name_of(changes)
@@ -155,7 +158,7 @@ def _add(
         return
     try:
         options = apply(base, changes)
-        _check_samples(options, reference_samples)
+        check(options)
     except UsageError as fault:
         refused[name] = str(fault)
         return
@@ -189,8 +192,10 @@ def apply(base: RenderOptions, changes: Changes) -> RenderOptions:
     return options
 
 
-def _check_samples(options: RenderOptions, reference_samples: int) -> None:
-    """Raises UsageError where the reference would be hardly better; `auto` takes its most samples at few pixels."""
+def _check(options: RenderOptions, reference_samples: int, projection: str) -> None:
+    """Raises UsageError where the view is none for them, or the reference hardly better; `auto` takes its most samples
+    at few pixels."""
+    options.check_projection(projection)
     needed = REFERENCE_RATIO * sample_count(options)
     if needed > reference_samples and (options.mode == PATH or not options.aa.startswith("auto")):
         is_possible = needed <= REFERENCE_SAMPLES

@@ -21,7 +21,7 @@ from clrast.errors import DeviceError, UsageError
 from clrast.job import RenderJob
 from clrast.opencl.device import Device, open_device
 from clrast.opencl.features import Edges, Precision, Projection
-from clrast.options import AVAILABLE_METHODS, METHODS, RenderOptions
+from clrast.options import AVAILABLE_METHODS, METHODS, RenderOptions, check_single_view
 from clrast.scene.camera import PLANAR_PROJECTIONS, CameraVectors, camera_vectors
 from clrast.scene.model import Camera, Scene
 from clrast.shading.effects import EffectPlan, plan_effects
@@ -293,6 +293,7 @@ def compare_scene(
     if options.precision == "fixed":
         raise UsageError("--precision fixed is for 2dr-brute and 2dr-binning alone: compare methods at another rung")
     options = replace(options, aov=("id",), counters=False, repeat=0, oracle=(), intersection="edge", method=AUTO)
+    check_single_view(camera.projection, "compare")
     if camera.projection not in PLANAR_PROJECTIONS:
         raise UsageError(f"2D methods need planar views, and {camera.projection} is none: use perspective")
     vectors = camera_vectors(camera, *options.size)

@@ -19,7 +19,7 @@ from clrast.job import RenderJob
 from clrast.opencl import buffers
 from clrast.opencl.device import Device, open_device
 from clrast.opencl.layout import NO_HIT
-from clrast.options import RenderOptions
+from clrast.options import RenderOptions, check_single_view
 from clrast.scene.camera import CameraVectors, camera_vectors
 from clrast.scene.model import Camera, Scene
 from clrast.shading.effects import EffectPlan, plan_effects
@@ -169,6 +169,7 @@ def study_cost(
     show: Show = lambda text: None,
 ) -> CostStudy:
     """Count and measure a view of a scene. Raises what a render by `raycast-grid` raises."""
+    check_single_view(camera.projection, "cost")
     options = replace(options, aov=("color", "id"), counters=False, repeat=0, oracle=(), intersection="edge",
                       accelerator="auto", mode="cast", memory=None)  # fmt: skip
     vectors = camera_vectors(camera, *options.size)
