@@ -235,6 +235,11 @@ class RenderOptions:
             object.__setattr__(self, "quality", None)
 
     @property
+    def aa_in_use(self) -> str:
+        """`aa`, or `none` where no colour is asked for: nothing else is antialiased."""
+        return self.aa if "color" in self.aov else "none"
+
+    @property
     def depth(self) -> int:
         """Rays that follow each other from a hit at most."""
         return DEFAULT_DEPTH if self.max_depth is None else self.max_depth

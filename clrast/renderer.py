@@ -26,6 +26,7 @@ from clrast.scene.camera import CameraVectors, camera_vectors, cube_faces, cube_
 from clrast.scene.content import content_digest
 from clrast.scene.model import Camera, Scene
 from clrast.shading.accumulation import Accumulation
+from clrast.shading.antialias import antialiasing_of
 from clrast.shading.effects import EffectPlan, plan_effects
 from clrast.shading.watch import Watch
 from clrast.visibility.cost_model import (
@@ -38,7 +39,6 @@ from clrast.visibility.cost_model import (
 )
 from clrast.visibility.loop_limits import loop_limit
 from clrast.visibility.methods import AUTO, resolve_method
-from clrast.visibility.sample_patterns import parse_antialiasing
 from clrast.visibility.tiles import TileRasterizer
 
 _ONE_AT_A_TIME = threading.Lock()
@@ -156,7 +156,7 @@ def start_job(
     job = RenderJob(device, scene, vectors, options, plan, accumulation=accumulation)
     if options.method != AUTO or options.casts_grid:
         return job
-    antialiasing = parse_antialiasing("--aa", options.aa)
+    antialiasing = antialiasing_of(options)
     job.reason = reason_without_choice(
         options.precision,
         lists_samples=antialiasing.kind == "auto" and isinstance(job.tiles, TileRasterizer) and job.tiles.takes_samples,

@@ -39,11 +39,9 @@ def resolved_header(
         "projection": projection,
         "mode": options.mode,
         "precision": options.precision,
-        "aa": options.aa,
+        "aa": options.aa_in_use,
         "effects": effects_text(effects_on),
     }
-    if "color" not in options.aov:  # nothing else is antialiased
-        header["aa"] = "none"
     on = set(effects_on)
     if "derivatives" in on and options.effects.get("derivatives") == COARSE:
         header["derivatives"] = COARSE
@@ -51,9 +49,9 @@ def resolved_header(
         header["max_depth"] = str(options.depth)
     if "indirect light" in on:
         header["samples"], header["seed"] = str(options.path_count), str(options.seed)
-    if header["aa"] != "none" and options.shading_rate != "pixel":
+    if options.aa_in_use != "none" and options.shading_rate != "pixel":
         header["shading_rate"] = options.shading_rate
-    if header["aa"] != "none" and options.filter != "box":
+    if options.aa_in_use != "none" and options.filter != "box":
         header["filter"] = options.filter
     if options.evaluation != "direct":
         header["evaluation"] = options.evaluation

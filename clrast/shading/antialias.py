@@ -38,8 +38,8 @@ class Resolver(Protocol):
 
 
 def antialiasing_of(options: RenderOptions) -> Antialiasing:
-    """What the options ask for; `none` where no colour is asked for, since nothing else is antialiased."""
-    return parse_antialiasing("--aa", options.aa if "color" in options.aov else "none")
+    """What the options ask for, of colour."""
+    return parse_antialiasing("--aa", options.aa_in_use)
 
 
 def shares_shading(wanted: Antialiasing, options: RenderOptions, blends: bool) -> bool:
