@@ -8,9 +8,9 @@ has the options that come out, never the preset's name: what a preset stands for
 At 512x512 (tools/make_accuracy_pictures.py; times over that of `preview`, rmse of linear colour):
 
             bunny           Sponza inside   data/room.toml
-    preview 1    0.0103     1    0.0241     1    0.0212      as fast as the rung `fast`, and without its wrong samples
-    draft   4.3  0.0037     5    0.0075     5    0.0056      textures too, which msaa leaves as they are
-    final   52   0.0006     63   0.0010     63   0.0008      exact costs up to 5 per cent
+    preview 1    0.0103     1    0.0202     1    0.0212      as fast as the rung `fast`, and without its wrong samples
+    draft   4.4  0.0037     5.5  0.0070     4.7  0.0056      textures too, which msaa leaves as they are
+    final   57   0.0006     49   0.0009     87   0.0008      exact is within the noise of ssaa:64 by `midpoint`
 """
 
 from __future__ import annotations
