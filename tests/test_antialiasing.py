@@ -122,6 +122,12 @@ def directions(count: int) -> list[tuple[int, int]]:
     return found
 
 
+def draw_corner(rng: np.random.Generator) -> tuple[int, int]:
+    """A point near the middle, in odd 512ths."""
+    x, y = rng.integers(4 * 256, 8 * 256, size=2)
+    return 2 * int(x) + 1, 2 * int(y) + 1
+
+
 def edge_triangle(q: int, p: int, corner: tuple[int, int]) -> np.ndarray:
     """A triangle to one side of the line through corner (512ths) along (q, p) pixels: (3, 3) float32, world."""
     x, y = corner[0] / 512, corner[1] / 512
@@ -169,7 +175,7 @@ def expected_coverage(mode: str, is_inside) -> np.ndarray:
 def check_half_planes(device: Device, modes: tuple[str, ...], count: int) -> None:
     view, rng = orthographic(SIDE, SIDE), np.random.default_rng(1)
     for q, p in directions(count):
-        corner = (int(rng.integers(4 * 512, 8 * 512)), 2 * int(rng.integers(4 * 256, 8 * 256)) + 1)
+        corner = draw_corner(rng)
         scene = make_scene(edge_triangle(q, p, corner), materials=unlit((0.25, 0.5, 1.0)))
         for mode in modes:
             frame = render(device, scene, view, aov=("color", "id"), aa=mode)
@@ -223,7 +229,7 @@ def test_coverage_is_within_the_patterns_bound_of_the_area(count: int) -> None:
     bound, rng = worst_half_plane(positions), np.random.default_rng(2)
     worst = 0.0
     for q, p in directions(40):
-        corner = (int(rng.integers(4 * 512, 8 * 512)), 2 * int(rng.integers(4 * 256, 8 * 256)) + 1)
+        corner = draw_corner(rng)
         shares = inside(q, p, corner, positions).mean(axis=2)
         worst = max(worst, float(np.abs(shares - area_below(q, p, corner)).max()))
     assert 0.2 * bound < worst <= bound < 2.5 / math.sqrt(count)
@@ -263,7 +269,7 @@ def line_triangles(q: int, p: int, corner: tuple[int, int], across: tuple[int, i
 def check_thin_lines(device: Device, modes: tuple[str, ...], count: int) -> None:
     view, rng = orthographic(SIDE, SIDE), np.random.default_rng(3)
     for q, p in directions(count):
-        corner = (int(rng.integers(4 * 512, 8 * 512)), 2 * int(rng.integers(4 * 256, 8 * 256)) + 1)
+        corner = draw_corner(rng)
         size = math.hypot(q, p)
         across = (2 * round(-p / size * 100), 2 * round(q / size * 100))  # about 0.39 pixels
         if across[0] * p == across[1] * q:
