@@ -594,8 +594,9 @@ def test_bands_do_not_show_where_surfaces_blend(room: clrast.Scene) -> None:
     assert bands.stats["other_counts"]["bands"] > 2
     for name in whole:
         np.testing.assert_array_equal(bands[name], whole[name], err_msg=name)
-    for count in ("edge_pixels", "samples_shaded"):
-        assert bands.stats["other_counts"][count] > 0
+    counts = bands.stats["other_counts"]
+    assert counts["edge_pixels"] == whole.stats["other_counts"]["edge_pixels"] > 0
+    assert counts["samples_shaded"] > 0  # of whole bands: fewer where a band is done before the others
 
 
 def test_wide_filters_want_the_image_in_one_band(lamps: clrast.Scene) -> None:
