@@ -22,6 +22,7 @@ kernel void gather_strata(
     uint pixel_count,                            // of the band
     uint listed_count,                           // samples that were shaded
     uint visit_count,                            // of which they are
+    uint begins,                                 // 1: nothing is known yet
     global const uint *restrict pixels,          // [count]
     global const uint *restrict slots,           // [count]
     global const uint2 *restrict chosen,         // [count * visit_count]
@@ -57,11 +58,11 @@ kernel void gather_strata(
   float freedom = 0.0f;
   for (uint k = 0; k < STRATA; ++k) {
     const uint shaded = stratum_counts[STRATA * slot + k] >> 16;
-    if (shaded != found[k]) {
+    if (!begins && shaded != found[k]) {
       sum[k] += sums[2 * STRATA * slot + SUM_OF(k)];
       squares[k] += sums[2 * STRATA * slot + SQUARES_OF(k)];
     }
-    if (found[k] != 0) {
+    if (begins || found[k] != 0) {
       sums[2 * STRATA * slot + SUM_OF(k)] = sum[k];
       sums[2 * STRATA * slot + SQUARES_OF(k)] = squares[k];
     }

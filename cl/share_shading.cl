@@ -8,9 +8,8 @@
 //   csaa: a coverage sample belongs to the nearest known triangle that covers it, or to nothing, if a sample shows that
 //   and none covers it; where triangles are fine, so that some may be unknown, coverage samples do not count
 //   colour of the pixel: the mean over its samples of the colours of their surfaces
-// Where one colour for a surface is not enough (flag_varied: colours of neighbours differ; csaa with shading rate sample)
-// each sample that has visibility of its own is a surface by itself, and a coverage sample has the colour of the nearest
-// of those that show its surface.
+// Where one colour for a surface is not enough (csaa with shading rate sample) each sample that has visibility of its own
+// is a surface by itself, and a coverage sample has the colour of the nearest of those that show its surface.
 // Lists are those of list_samples.cl.
 // Good at: few surfaces a pixel, however many triangles. Bad at: textures finer than pixels (shade every sample then).
 // Tests: tests/test_antialiasing.py.
@@ -100,34 +99,6 @@ static inline bool cover_samples(
     }
   }
   return true;
-}
-
-// Reads: values (shade_hits), edge_flags (flag_edge_pixels). Writes: varied_flags (for count_flags): where a colour differs
-// by more than SHADING_CONTRAST from that of a neighbour in the row, or of the other row of its pair: bands begin at even
-// rows. Those are no edge pixels any more. Work item: one pixel. Local memory: 0 bytes.
-kernel void flag_varied(
-    uint pixel_count,                     // of the band
-    uint width,                           // pixels of a row
-    global const float *restrict values,  // [4 * pixel_count] R G B A at the centres
-    global uchar *restrict edge_flags,    // [pixel_count] in and out
-    global uchar *restrict varied_flags)  // [pixel_count] 255 or 0
-{
-  const uint pixel = get_global_id(0);
-  if (pixel >= pixel_count) return;
-  const uint column = pixel % width;
-  bool varied = false;
-  for (uint plane = 0; plane < 4; ++plane) {
-    global const float *color = values + (size_t)plane * pixel_count + pixel;
-    const float own = color[0];
-    const float left = column > 0 ? color[-1] : own, right = column + 1 < width ? color[1] : own;
-    float other = own;
-    if (pixel / width & 1) other = color[-(int)width];
-    else if (pixel_count - pixel > width) other = color[width];
-    const float most = max(max(fabs(left - own), fabs(right - own)), fabs(other - own));
-    varied |= most > SHADING_CONTRAST;
-  }
-  varied_flags[pixel] = varied ? 255 : 0;
-  if (varied) edge_flags[pixel] = 0;
 }
 
 // Makes each sample that has visibility of its own a surface by itself; returns how many. `out` in: surfaces.

@@ -10,11 +10,13 @@
 //     of a surface's mean   share * half the deviation of its n colours * n^(-3/4); it is open while that is too large
 //     pixels with no such error stay out of the next round
 // N^(-3/4) is how fast the error of an edge falls when N samples are one in each of N equal squares: an edge passes about
-// sqrt(N) squares, each of which adds its own, independent error (Mitchell 1996); EDGE_ERROR (strata.py) is what the pattern's
+// sqrt(N) squares, each of which adds its own, independent error (Mitchell 1996); EDGE_ERROR (rounds.py) is what the pattern's
 // straight edges have of it. Within a surface there are no edges, but what changes slowly; half is what was measured there.
+// msaa and csaa with shading rate auto end with the samples that they have: rounds of S/4 and of S shaded ones of the same N,
+// in which the colour of the centre counts as that of one sample of its surface, and shares count for no error (rounds.py).
 // Deviations of few samples are uncertain: half of one is that of the listed pixels of its quad. Lists are made by prefix sums.
 // Good at: few surfaces a pixel. Bad at: more than STRATA of them: the last takes all that the others do not.
-// Tests: tests/test_antialiasing.py.
+// Tests: tests/test_antialiasing.py, tests/test_shading_rate.py.
 
 #include "vector.clh"
 #include "edge_function.clh"
@@ -54,8 +56,6 @@ static inline bool shows_same(const Ground *g, uint a, uint b, float x, float y)
   return is_same_surface(g, &first, &second, x, y);
 }
 
-#define ALL_SAMPLES ((1u << VISIT_SAMPLES) - 1)
-
 // A bit for each of a visit's samples that shows a triangle.
 static inline uint samples_of(uint16 samples, uint prim_id) {
   const int16 bits = (int16)(1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 16384, 32768);
@@ -68,11 +68,14 @@ static inline uint samples_of(uint16 samples, uint prim_id) {
 
 static inline uint first_bit(uint mask) { return 31 - clz(mask & (0 - mask)); }
 
-// Reads: center_prims, sample_prims (rasterize_samples). Writes: edge_flags (for flag_contrast). Work item: one pixel.
+// Reads: center_prims, sample_prims (rasterize_samples) of a visit. Writes: edge_flags (for flag_contrast). Work item: one
+// pixel.
 // Local memory: 0 bytes.
 kernel void flag_surfaces(
     View view,
     uint pixel_count,                             // of the band
+    uint lanes,                                   // a bit for each sample that counts
+    uint begins,                                  // 1: no visit was looked at before
     float surface_distance,                       // of planes that count as one: world units, or a share of t
     global const float4 *restrict positions,      // [vertex_count] world space times world_scale
     global const uint *restrict indices,          // [3 * triangle_count]
@@ -81,11 +84,11 @@ kernel void flag_surfaces(
     global const uint *restrict center_prims,     // [pixel_count] prim_id or NO_HIT
     global const uchar *restrict differs,         // [pixel_count] 0 where no sample shows another triangle
     global const uint *restrict sample_prims,     // [pixel_count * VISIT_SAMPLES] of pixels that differ
-    global uchar *restrict edge_flags)            // [pixel_count] 255 where a sample shows another surface
+    global uchar *restrict edge_flags)            // [pixel_count] in and out: 255 where a sample shows another surface
 {
   const uint pixel = get_global_id(0);
   if (pixel >= pixel_count) return;
-  edge_flags[pixel] = 0;
+  if (begins) edge_flags[pixel] = 0;
   if (!differs[pixel]) return;
   const uint center = center_prims[pixel];
   const Ground g = {view, surface_distance, positions, indices, object_ids, material_ids};
@@ -94,7 +97,7 @@ kernel void flag_surfaces(
   global const uint *samples = sample_prims + (size_t)pixel * VISIT_SAMPLES;
   const uint16 shown = vload16(0, samples);
   // Each triangle once.
-  for (uint left = ALL_SAMPLES & ~samples_of(shown, center); left != 0;) {
+  for (uint left = lanes & ~samples_of(shown, center); left != 0;) {
     const uint prim_id = samples[first_bit(left)];
     if (!shows_same(&g, center, prim_id, x, y)) {
       edge_flags[pixel] = 255;
@@ -133,12 +136,13 @@ kernel void meet_strata(
     uint visit_count,                             // of VISIT_SAMPLES samples each
     uint stride,                                  // entries from one listed pixel to the next in later_prims
     uint begins,                                  // 1: nothing is known yet
+    uint uses_center,                             // 1: the centre's colour is that of one shaded sample of its surface
     global const float4 *restrict positions,      // [vertex_count] world space times world_scale
     global const uint *restrict indices,          // [3 * triangle_count]
     global const uint *restrict object_ids,       // [triangle_count]
     global const uint *restrict material_ids,     // [triangle_count]
-    global const uint4 *restrict visits,          // [visit_count] first entry or FIRST_VISIT; 1: samples are new; a bit for
-                                                  // each sample that is shaded where its stratum is open
+    global const uint4 *restrict visits,          // [visit_count] first entry or FIRST_VISIT; a bit for each sample that
+                                                  // counts; and that is shaded where its stratum is open; 1: all are new
     global const uint *restrict sample_positions, // [visit_count * VISIT_SAMPLES] 256ths of a pixel, x | y << 16
     global const uint *restrict pixels,           // [count]
     global const uint *restrict slots,            // [count] where what is known of a pixel stands
@@ -160,6 +164,10 @@ kernel void meet_strata(
   const float left = (float)(pixel % view.width) - view.center_x;
   const float top = (float)(pixel / view.width + view.band_top) - view.center_y;
   Strata s = begins ? no_strata() : load_strata(slot, stratum_prims, stratum_counts);
+  if (begins && uses_center) {
+    s.prims[0] = center_prims[pixel];
+    s.shaded[0] = s.count = 1;
+  }
   const uint is_open = begins ? (1u << STRATA) - 1 : open[slot];
   uint chosen_count = 0;
   for (uint visit = 0; visit < visit_count; ++visit) {
@@ -169,15 +177,15 @@ kernel void meet_strata(
     const bool is_plain = own.x == FIRST_VISIT && !differs[pixel];
     const uint16 shown = is_plain ? (uint16)(center_prims[pixel]) : vload16(0, samples);
     uint mask = 0, strata = 0;
-    for (uint left_over = ALL_SAMPLES; left_over != 0;) {
+    for (uint left_over = own.y; left_over != 0;) {
       const uint k = first_bit(left_over), prim_id = is_plain ? center_prims[pixel] : samples[k];
       const uint position = sample_positions[visit * VISIT_SAMPLES + k];
       const float x = left + (float)(position & 0xffffu) / 256.0f, y = top + (float)(position >> 16) / 256.0f;
-      const uint stratum = find_stratum(&g, &s, prim_id, x, y), found = samples_of(shown, prim_id);
+      const uint stratum = find_stratum(&g, &s, prim_id, x, y), found = own.y & samples_of(shown, prim_id);
       left_over &= ~found;
       uint shaded = is_open >> stratum & 1 ? found & own.z : 0;
       if (s.shaded[stratum] == 0) shaded |= 1u << k;
-      s.covered[stratum] += own.y * popcount(found);
+      s.covered[stratum] += own.w * popcount(found);
       s.shaded[stratum] += popcount(shaded);
       mask |= shaded;
       for (; shaded != 0; shaded &= shaded - 1) strata |= stratum << 2 * first_bit(shaded);

@@ -30,7 +30,7 @@ from clrast.quality import PRESETS, with_preset
 from clrast.visibility.methods import AUTO, SNAPPED_METHODS, resolve_method
 from clrast.visibility.methods import METHODS as METHOD_TABLE
 from clrast.visibility.oracles import parse_oracle
-from clrast.visibility.sample_patterns import FILTERS, parse_antialiasing
+from clrast.visibility.sample_patterns import FILTERS, parse_antialiasing, parse_shading_rate
 
 PRECISIONS = ("fast", "ordered", "midpoint", "double", "fixed", "exact")
 AVAILABLE_PRECISIONS = PRECISIONS
@@ -45,8 +45,6 @@ times for any hit (tools/bench_rays.py). It is built in three tenths of the time
 together have less than about three rays a triangle.
 """
 GRID_METHODS = tuple(name for name, row in METHOD_TABLE.items() if row.grid)
-SHADING_RATES = ("pixel", "sample", "auto")
-"""Of msaa and csaa: each surface of a pixel once, every sample, or the second where colours of neighbours differ."""
 MODES = ("cast", "shadow", "whitted", "path")
 PROJECTIONS = ("perspective", "orthographic", "paraboloid", "latlong", "fisheye", "cube")
 AVAILABLE_PROJECTIONS = PROJECTIONS
@@ -162,7 +160,7 @@ _PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "memory": parse_memory,
     "repeat": _count(0, 1_000_000),
     "aa": _parse_antialiasing,
-    "shading_rate": _choice(SHADING_RATES),
+    "shading_rate": lambda option, value: parse_shading_rate(option, value)[0],
     "filter": _choice(FILTERS),
     "evaluation": _choice(("direct", "incremental")),
     "samples": _count(1, 1 << 24),
@@ -279,8 +277,9 @@ class RenderOptions:
         self._check_accelerator()
         if self.filter != "box" and self.aa.startswith("auto"):
             raise UsageError(f"--filter {self.filter} needs as many samples in each pixel: use --aa ssaa:N or msaa:N")
-        parts_pixels = self.shading_rate == "auto" or (self.shading_rate == "sample" and self.aa.startswith("csaa"))
-        if self.filter != "box" and parts_pixels and self.aa.startswith(("msaa", "csaa")):
+        lists_pixels = self.shading_rate.startswith("auto") and self.aa.startswith(("msaa", "csaa"))
+        parts_pixels = self.shading_rate == "sample" and self.aa.startswith("csaa")
+        if self.filter != "box" and (lists_pixels or parts_pixels):
             rate = f"--shading-rate {self.shading_rate}"
             raise UsageError(f"{rate} of {self.aa} resolves pixels by themselves: use --filter box, or --aa ssaa:N")
 

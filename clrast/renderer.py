@@ -28,6 +28,7 @@ from clrast.scene.model import Camera, Scene
 from clrast.shading.accumulation import Accumulation
 from clrast.shading.antialias import antialiasing_of
 from clrast.shading.effects import EffectPlan, plan_effects
+from clrast.shading.strata import StratifiedSampler
 from clrast.shading.watch import Watch
 from clrast.visibility.cost_model import (
     CANDIDATE,
@@ -157,9 +158,10 @@ def start_job(
     if options.method != AUTO or options.casts_grid:
         return job
     antialiasing = antialiasing_of(options)
+    lists_samples = antialiasing.kind == "auto" or isinstance(job.resolver, StratifiedSampler)
     job.reason = reason_without_choice(
         options.precision,
-        lists_samples=antialiasing.kind == "auto" and isinstance(job.tiles, TileRasterizer) and job.tiles.takes_samples,
+        lists_samples=lists_samples and isinstance(job.tiles, TileRasterizer) and job.tiles.takes_samples,
         is_limited=loop_limit(device) is not None or len(job.bands) > 1 or options.memory is not None,
     )  # fmt: skip
     if job.reason is not None:

@@ -18,9 +18,9 @@ from clrast.opencl.layout import NO_HIT
 from clrast.options import RenderOptions
 from clrast.scene.camera import camera_vectors, frame_scene
 from clrast.shading.effects import plan_effects
-from clrast.shading.strata import visits_of
+from clrast.shading.rounds import rounds_of
 from clrast.visibility.listed_samples import ListedSamples
-from clrast.visibility.sample_patterns import CENTER, scrambled
+from clrast.visibility.sample_patterns import CENTER, parse_antialiasing, scrambled
 
 SIZE = (75, 70)  # sticks out of tiles and squares
 PATTERN = scrambled(256).positions
@@ -85,7 +85,7 @@ def test_all_pixels_say_where_samples_differ(device: Device, lamps: clrast.Scene
     center = buffers.download(device, job.tiles.visible_prims, np.uint32, count)
     kept = buffers.upload(device, center)
     differs, found = buffers.create(device, count), buffers.create(device, 4 * VISIT_SAMPLES * count)
-    ListedSamples(device, job.features, PATTERN).decide_all(job.sample_passes, count, kept, differs, found)
+    ListedSamples(device, job.features, PATTERN).decide_all(job.sample_passes, 0, count, kept, differs, found)
     where = buffers.download(device, differs, np.uint8, count) != 0
     np.testing.assert_array_equal(where, (expected != center[:, None]).any(axis=1))
     assert 0.01 < where.mean() < 0.9
@@ -121,22 +121,26 @@ def test_what_is_not_listed_costs_nothing(lamps: clrast.Scene) -> None:
 
 
 def test_rounds_look_at_each_sample_once_and_shade_a_quarter() -> None:
+    rounds = rounds_of(parse_antialiasing("--aa", "auto:0.1"))
+    assert rounds.positions == PATTERN and not rounds.uses_center
     seen: list[int] = []
     shaded: list[int] = []
     for number in range(5):
-        for visit, is_new, bits in visits_of(number):
-            samples = [VISIT_SAMPLES * visit + k for k in range(VISIT_SAMPLES)]
-            seen += samples if is_new else []
-            shaded += [k for k in samples if bits >> (k - samples[0]) & 1]
+        for visit in rounds.visits(number):
+            samples = [VISIT_SAMPLES * visit.number + k for k in range(VISIT_SAMPLES)]
+            seen += samples if visit.is_new else []
+            shaded += [k for k in samples if visit.shaded >> (k - samples[0]) & 1]
+            assert visit.lanes == 0xFFFF
         assert seen == list(range(16 << number)) and shaded == list(range(4 << number))
 
 
 @pytest.mark.parametrize("change", [{"method": "3dr-full"}, {"precision": "exact"}, {"counters": True}])
-def test_auto_is_the_same_by_lanes_and_by_passes(change: dict[str, object]) -> None:
+@pytest.mark.parametrize("mode", [{"aa": "auto:0.02"}, {"aa": "csaa:4+8", "shading_rate": "auto:0.02"}], ids=str)
+def test_lists_are_the_same_by_lanes_and_by_passes(mode: dict[str, object], change: dict[str, object]) -> None:
     """Methods and rungs that have no lanes for lists decide whole bands; short numbers, where float32 is exact too."""
     device = open_device(runtimes().working[next(iter(runtimes().working))])
     scene, view = some_triangles(), orthographic(SIDE, SIDE)
-    given = {"aov": ("color", "id"), "aa": "auto:0.02", "method": "3dr-binning"}
+    given = {"aov": ("color", "id"), "method": "3dr-binning", **mode}
     expected, found = (render(device, scene, view, **each) for each in (given, {**given, **change}))
     for name in ("R", "G", "B", "A", "id.prim"):
         np.testing.assert_array_equal(found[name], expected[name])

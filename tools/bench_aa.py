@@ -118,7 +118,7 @@ def edges_of(jobs: dict[str, tuple[RenderJob, Channels]]) -> np.ndarray | None:
     None where no mode does or the image has several bands.
     """
     for job, channels in jobs.values():
-        if isinstance(job.resolver, Multisampler) and job.resolver.rate == "pixel" and job.band_count == 1:
+        if isinstance(job.resolver, Multisampler) and not job.resolver.parts and job.band_count == 1:
             shape = channels["R"].shape
             places = buffers.download(job.device, job.resolver.edges.places, np.uint32, shape)
             return places != NO_HIT

@@ -91,7 +91,8 @@ ShadingRate = Annotated[
     Texts,
     _option(
         "--shading-rate", metavar="RATE", panel=ACCURACY,
-        text="Of msaa and csaa: pixel [default], sample, or auto: sample where colours of neighbours differ.",
+        text="Of msaa and csaa: pixel [default], once a surface; sample; auto, auto:EPS: a quarter of samples, and all "
+        "where a colour is estimated to be off by more than EPS (0.05).",
     ),  # fmt: skip
 ]
 Filter = Annotated[

@@ -192,9 +192,6 @@ SAME_SURFACE_COSINE = 63.0 / 64.0
 FINE_TRIANGLE_PIXELS = 4.0
 """Triangles lower than this have neighbours in a pixel that none of its samples may show."""
 
-SHADING_CONTRAST = 1.0 / 128.0
-"""Difference of two neighbours' colours from which on `--shading-rate auto` shades every sample of both."""
-
 SURFACE_OF_CENTER = 0
 """Of a sample: its surface is what the pixel's centre shows."""
 SURFACE_UNKNOWN = 254

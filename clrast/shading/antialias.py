@@ -14,10 +14,11 @@ from clrast.options import RenderOptions
 from clrast.shading.adaptive import STATE_BYTES, AdaptiveSampler
 from clrast.shading.filters import reach_of
 from clrast.shading.multisample import Multisampler
+from clrast.shading.rounds import rounds_of
 from clrast.shading.shade import Shader
 from clrast.shading.strata import SUMS_BYTES, StratifiedSampler
 from clrast.shading.supersample import Layers, Supersampler
-from clrast.visibility.sample_patterns import Antialiasing, Pattern, parse_antialiasing
+from clrast.visibility.sample_patterns import Antialiasing, Pattern, parse_antialiasing, parse_shading_rate
 
 if TYPE_CHECKING:
     from clrast.opencl.device import Device
@@ -39,7 +40,10 @@ class Resolver(Protocol):
 
 def antialiasing_of(options: RenderOptions) -> Antialiasing:
     """What the options ask for, of colour."""
-    return parse_antialiasing("--aa", options.aa_in_use)
+    wanted = parse_antialiasing("--aa", options.aa_in_use)
+    if wanted.kind not in ("msaa", "csaa"):
+        return wanted
+    return replace(wanted, threshold=parse_shading_rate("--shading-rate", options.shading_rate)[1])
 
 
 def shares_shading(wanted: Antialiasing, options: RenderOptions, blends: bool) -> bool:
@@ -59,10 +63,10 @@ def resolver_bytes(options: RenderOptions, blends: bool) -> tuple[int, int]:
     wanted = antialiasing_of(options)
     if wanted.kind == "none":
         return 0, 0
+    if wanted.threshold and not blends:
+        return StratifiedSampler.bytes_per_pixel(rounds_of(wanted), options.memory is not None), SUMS_BYTES
     if wanted.kind == "auto":
-        if blends:
-            return AdaptiveSampler.bytes_per_pixel(), STATE_BYTES
-        return StratifiedSampler.bytes_per_pixel(options.memory is not None), SUMS_BYTES
+        return AdaptiveSampler.bytes_per_pixel(), STATE_BYTES
     if not shares_shading(wanted, options, blends):
         return Supersampler.bytes_per_pixel(), 20
     at_worst = options.memory is not None or options.shading_rate != "pixel"
@@ -85,15 +89,16 @@ def make_resolver(
     wanted = antialiasing_of(options)
     if wanted.kind == "none":
         return None
-    if wanted.kind == "auto":
-        if layers is None:
-            listed = shader.sibling(replace(features, sample_list=True), ("color",), 1)
-            return StratifiedSampler(device, features, wanted, listed, max_pixels)
+    if wanted.threshold and layers is None:
+        listed = shader.sibling(replace(features, sample_list=True), ("color",), 1)
+        return StratifiedSampler(device, features, rounds_of(wanted), listed, max_pixels)
+    if wanted.kind == "auto" and layers is not None:
         color = shader.sibling(features, ("color",), max_pixels)
         return AdaptiveSampler(device, features, wanted, color, max_pixels, layers)
     if shares_shading(wanted, options, layers is not None):
         listed = shader.sibling(replace(features, sample_list=True), ("color",), 1)
-        return Multisampler(device, features, wanted, options.filter, listed, max_pixels, options.shading_rate)
+        parts = options.shading_rate == "sample"
+        return Multisampler(device, features, wanted, options.filter, listed, max_pixels, parts)
     color = shader.sibling(features, ("color",), max_pixels)
     # Nothing is shared: csaa shades those samples that have visibility of their own.
     pattern = Pattern(wanted.pattern.name, wanted.pattern.positions[: wanted.depth_count])

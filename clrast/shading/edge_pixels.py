@@ -87,17 +87,11 @@ class EdgePixels:
         """Enqueue: count the flags of each chunk anew, where something else has flagged pixels besides."""
         self._launch("count_flags", pixel_count, count=pixel_count, flags=self.flags, chunk_counts=self._chunk_counts)
 
-    def list_flagged(self, pixel_count: int, flags: cl.Buffer | None = None) -> int:
-        """List the flagged pixels as `edge_pixels`; returns how many. Waits.
-
-        flags : which, in place of those that were found by `flag`, and counted.
-        """
-        if flags is not None:
-            self._launch("count_flags", pixel_count, count=pixel_count, flags=flags, chunk_counts=self._chunk_counts)
+    def list_flagged(self, pixel_count: int) -> int:
+        """List the flagged pixels as `edge_pixels`; returns how many. Waits."""
         count = self._scan(pixel_count)
         self._launch(
-            "list_edge_pixels", pixel_count, pixel_count=pixel_count, edge_flags=self.flags if flags is None else flags,
-            begins=self.begins,
+            "list_edge_pixels", pixel_count, pixel_count=pixel_count, edge_flags=self.flags, begins=self.begins,
             edge_pixels=self.room("edge_pixels", 4 * count), edge_places=self.places,
         )  # fmt: skip
         return count

@@ -1,14 +1,12 @@
 """Antialiasing with shared shading: visibility at every sample, shading once a pixel and surface (msaa, csaa).
 
-With shading rate `auto` that is so where colours of neighbours are alike; elsewhere each sample that has visibility of
-its own is shaded, and with `sample` (csaa's; msaa's is supersample.py's) everywhere.
+With shading rate `sample` (csaa's; msaa's is supersample.py's) each sample that has visibility of its own is shaded.
 The kernels are cl/share_shading.cl, which says what is one surface, and cl/resolve_samples.cl.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -49,8 +47,8 @@ def ground_arguments(shader: Shader, view: np.ndarray, projection: Projection) -
 
 
 class Multisampler:
-    """Shares the shading of a band's samples. shader : of colour alone, with features.sample_list. rate : one of
-    SHADING_RATES."""
+    """Shares the shading of a band's samples. shader : of colour alone, with features.sample_list. parts : whether each
+    sample that has visibility of its own is shaded (shading rate sample)."""
 
     def __init__(
         self,
@@ -60,11 +58,11 @@ class Multisampler:
         filter_name: str,
         shader: Shader,
         max_pixels: int,
-        rate: str = "pixel",
+        parts: bool = False,
     ) -> None:
-        self.device, self.wanted, self.shader, self.rate = device, wanted, shader, rate
+        self.device, self.wanted, self.shader, self.parts = device, wanted, shader, parts
         self._pixels_at_once = max(1, max_pixels // wanted.depth_count)
-        self._footprints = {False: 1.0, True: 1.0 / math.sqrt(wanted.depth_count)}
+        shader.footprint = 1.0 / math.sqrt(wanted.depth_count) if parts else 1.0
         self._projection = features.projection
         self.counts: dict[str, int] = {}
         self.own_launches = 0
@@ -76,7 +74,6 @@ class Multisampler:
         self._positions = buffers.upload(device, np.array(packed, dtype=np.uint32))
         self._weights = buffers.upload(device, weight_table(filter_name, wanted.pattern))
         self._sums = buffers.create(device, 20 * max_pixels) if self.reach else None
-        self._varied = buffers.create(device, self.edges.stride) if rate != "pixel" else None
 
     @property
     def launches(self) -> int:
@@ -92,42 +89,29 @@ class Multisampler:
 
     def resolve_band(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, target: Shader) -> None:
         """Replace the colour of a band in `target`, shaded at the centres, by that of its samples. Waits."""
-        tiles, timed = passes.tiles, passes.timed
+        timed = passes.timed
         decided = self.wanted.pattern.positions[: self.wanted.depth_count]
         self.edges.decide(passes, row, rows, pixel_count, decided, decided)
-        self._count("samples_shaded", pixel_count if self.rate != "sample" else 0)
-        timed("resolve", partial(self._flag, int(tiles.view["width"]), pixel_count, target))
-        if self.rate != "sample":
-            self._share(passes, partial(self.edges.list_flagged, pixel_count), pixel_count, target, parts=False)
-        if self._varied is not None:
-            flagged = partial(self.edges.list_flagged, pixel_count, self._varied)
-            self._share(passes, flagged, pixel_count, target, parts=True)
+        self._count("samples_shaded", 0 if self.parts else pixel_count)
+        timed("resolve", partial(self._flag, pixel_count))
+        self._share(passes, pixel_count, target)
 
-    def _flag(self, width: int, pixel_count: int, target: Shader) -> None:
-        """Enqueue: flag edge pixels, and apart from them those whose samples are shaded each."""
-        self.edges.flag(pixel_count)
-        if self._varied is None:
+    def _flag(self, pixel_count: int) -> None:
+        """Enqueue: flag the pixels whose samples are looked at, edge pixels or all."""
+        if not self.parts:
+            self.edges.flag(pixel_count)
             return
-        if self.rate == "sample":
-            buffers.fill(self.device, self._varied, np.uint8(255), pixel_count)
-            return
-        self._launch(
-            "flag_varied", padded(pixel_count), WORK_GROUP, pixel_count=pixel_count, width=width, values=target.values,
-            edge_flags=self.edges.flags, varied_flags=self._varied,
-        )  # fmt: skip
+        buffers.fill(self.device, self.edges.flags, np.uint8(255), pixel_count)
         self.edges.count_flags(pixel_count)
 
-    def _share(
-        self, passes: SamplePasses, list_pixels: Callable[[], int], pixel_count: int, target: Shader, parts: bool
-    ) -> None:
-        """Shade the surfaces of the pixels that are listed, or (`parts`) their samples, and resolve the pixels."""
+    def _share(self, passes: SamplePasses, pixel_count: int, target: Shader) -> None:
+        """Shade the surfaces of the pixels that are flagged, or (`parts`) their samples, and resolve the pixels."""
         view, timed = passes.tiles.view, passes.timed
-        edge_count = timed("resolve", list_pixels)
-        at_once = self._pixels_at_once if parts else edge_count
-        self.shader.footprint = self._footprints[parts]
+        edge_count = timed("resolve", partial(self.edges.list_flagged, pixel_count))
+        at_once = self._pixels_at_once if self.parts else edge_count
         for first in range(0, edge_count, max(1, at_once)):
             count = min(at_once, edge_count - first)
-            listed_count = timed("resolve", partial(self._list_surfaces, view, first, count, parts))
+            listed_count = timed("resolve", partial(self._list_surfaces, view, first, count))
             if listed_count:
                 lists = self.edges.room("shaded_prims"), listed_count, 0, self.edges.room("places")
                 timed("shade", partial(self.shader.shade, view, *lists))
@@ -135,12 +119,12 @@ class Multisampler:
             self._count("samples_shaded", listed_count)
         if not edge_count and self.reach:
             timed("resolve", partial(self._resolve, view, pixel_count, 0, 0, 0, target))
-        self._count("pixels_parted" if parts else "edge_pixels", edge_count)
+        self._count("pixels_parted" if self.parts else "edge_pixels", edge_count)
 
     def _count(self, name: str, count: int) -> None:
         self.counts[name] = self.counts.get(name, 0) + count
 
-    def _list_surfaces(self, view: np.ndarray, first: int, edge_count: int, parts: bool) -> int:
+    def _list_surfaces(self, view: np.ndarray, first: int, edge_count: int) -> int:
         """Surfaces of the samples of listed pixels from `first` on, and the list of those to be shaded; returns its
         length. Waits."""
         room = self.edges.room
@@ -152,7 +136,7 @@ class Multisampler:
             "new_surfaces": room("new_surfaces", edge_count),
         }  # fmt: skip
         self._launch(
-            "group_samples", padded(edge_count), WORK_GROUP, parts=int(parts), center_prims=self.edges.center,
+            "group_samples", padded(edge_count), WORK_GROUP, parts=int(self.parts), center_prims=self.edges.center,
             **ground_arguments(self.shader, view, self._projection), **of_samples,
         )  # fmt: skip
         count = self.edges.sum_entries(room("new_surfaces"), edge_count)

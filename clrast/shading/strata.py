@@ -1,11 +1,11 @@
-"""Antialiasing by visibility at many samples and shading of few of each surface: `--aa auto:EPS`.
+"""Antialiasing by visibility at many samples and shading of few of each surface.
 
-The kernels are cl/stratify_samples.cl, which says how, and cl/judge_strata.cl.
+`--aa auto:EPS`, and msaa and csaa with shading rate auto; they differ in their rounds (rounds.py). The kernels are
+cl/stratify_samples.cl, which says how, and cl/judge_strata.cl.
 """
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Any
 
@@ -16,15 +16,13 @@ from clrast.opencl.constants import LIST_CHUNK, STRATA, VISIT_SAMPLES
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
 from clrast.opencl.layout import NO_HIT
-from clrast.shading.edge_pixels import BYTES_PER_PIXEL, FOOTPRINT, EdgePixels, padded, quads_of
+from clrast.shading.edge_pixels import BYTES_PER_PIXEL, EdgePixels, padded, quads_of
 from clrast.shading.multisample import ground_arguments
+from clrast.shading.rounds import Rounds, Visit
 from clrast.shading.shade import WORK_GROUP, Shader
 from clrast.visibility.listed_samples import ListedSamples
 from clrast.visibility.sample_passes import SamplePasses
-from clrast.visibility.sample_patterns import Antialiasing, Position
-
-SHADED_SHARE = 4
-"""Of so many samples whose visibility is known one is shaded where its surface is open."""
+from clrast.visibility.sample_patterns import Position
 
 SUMS_BYTES = 2 * 16 * STRATA
 STATE_BYTES = SUMS_BYTES + 8 * STRATA + 1
@@ -33,67 +31,18 @@ STATE_BYTES = SUMS_BYTES + 8 * STRATA + 1
 TYPICAL_SHADED = 6
 """Samples of a listed pixel shaded at once that memory is planned for where no budget is given."""
 
-VISITS_AT_ONCE = 4
-"""Visits of the listed pixels whose samples are kept at once, beside the first of all pixels."""
-
-EDGE_ERROR = 0.9
-"""Of the deviation between a pixel's surfaces by N^(3/4), the error of N samples: straight edges through the pixel have
-0.78 of it with 16 samples of this pattern, and 0.89 with 256, the most."""
-
-ROUNDS = 5
-"""Rounds that the pattern of auto has samples for: the last one ends with 256."""
-
-Visit = tuple[int, bool, int]
-
-
-def visits_of(round_number: int) -> list[Visit]:
-    """What a round looks at: VISIT_SAMPLES samples each, by number; whether they are new; a bit for each that may be
-    shaded.
-
-    Round r ends with 16 * 2^r samples; the first 4 * 2^r may be shaded.
-    """
-    if round_number == 0:
-        return [(0, True, (1 << VISIT_SAMPLES // SHADED_SHARE) - 1)]
-    known = VISIT_SAMPLES << round_number - 1
-    first, end = known // SHADED_SHARE, 2 * known // SHADED_SHARE
-    new = [(k, True, 0) for k in range(known // VISIT_SAMPLES, 2 * known // VISIT_SAMPLES)]
-    old = []
-    for k in range(first // VISIT_SAMPLES, -(-end // VISIT_SAMPLES)):
-        old.append((k, False, sum(1 << n for n in range(VISIT_SAMPLES) if first <= VISIT_SAMPLES * k + n < end)))
-    return new + old
-
-
-def parted(visits: list[Visit]) -> list[list[Visit]]:
-    """The visits of a round in parts of as many as are kept at once."""
-    later = [visit for visit in visits if visit[0] != 0]
-    parts = [later[k : k + VISITS_AT_ONCE] for k in range(0, len(later), VISITS_AT_ONCE)] or [[]]
-    parts[-1] += [visit for visit in visits if visit[0] == 0]
-    return parts
-
-
-def worst_shaded() -> int:
-    """Samples of a listed pixel that may be shaded at once: what part of a round names, and one of each stratum."""
-    parts = [part for number in range(ROUNDS) for part in parted(visits_of(number))]
-    return STRATA + max(sum(shaded.bit_count() for _, _, shaded in part) for part in parts)
-
 
 class StratifiedSampler:
-    """Samples a band's pixels in rounds of 16, 32, 64 .. samples.
+    """Samples a band's pixels in rounds. shader : of colour alone, with features.sample_list."""
 
-    shader : of colour alone, with features.sample_list.
-    """
-
-    def __init__(
-        self, device: Device, features: Features, wanted: Antialiasing, shader: Shader, max_pixels: int
-    ) -> None:  # fmt: skip
-        shader.footprint = FOOTPRINT
-        self.device, self.shader = device, shader
+    def __init__(self, device: Device, features: Features, rounds: Rounds, shader: Shader, max_pixels: int) -> None:
+        shader.footprint = rounds.footprint
+        self.device, self.rounds, self.shader = device, rounds, shader
         self._projection = features.projection
-        self.positions, self.threshold = wanted.pattern.positions, float(np.float32(wanted.threshold))
         self.counts: dict[str, int] = {}
         self.own_launches = 0
         self.edges = EdgePixels(device, features, 0, max_pixels)
-        self._samples = ListedSamples(device, features, self.positions)
+        self._samples = ListedSamples(device, features, rounds.positions)
         self._first_prims = buffers.create(device, 4 * VISIT_SAMPLES * max_pixels)
         self._differs = buffers.create(device, max_pixels)
         self._strata = kernels.build(device, "stratify_samples.cl", features)
@@ -109,17 +58,20 @@ class StratifiedSampler:
         return self.own_launches + self.edges.launches + self._samples.launches
 
     @staticmethod
-    def bytes_per_pixel(at_worst: bool) -> int:
+    def bytes_per_pixel(rounds: Rounds, at_worst: bool) -> int:
         """Device bytes a pixel of a band takes here where all are listed; at_worst : and all that may be is shaded."""
-        shaded = worst_shaded() if at_worst else TYPICAL_SHADED
-        visits = VISITS_AT_ONCE if at_worst else 1
+        shaded = rounds.worst_shaded if at_worst else TYPICAL_SHADED
+        visits = rounds.worst_visits if at_worst else 1
         of_listed = 5 * 4 + STATE_BYTES + 8 * (1 + visits) + 1 + 4 + 1 + 4 * VISIT_SAMPLES * visits
         return BYTES_PER_PIXEL + 5 + 4 * VISIT_SAMPLES + of_listed + shaded * (12 + Shader.bytes_per_pixel(("color",)))
 
     def resolve_band(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, target: Shader) -> None:
         """Replace the colour of a band in `target`, shaded at the centres, where samples are called for. Waits."""
-        self.edges.start(passes, row, rows, pixel_count, self.positions)
-        self._samples.decide_all(passes, pixel_count, self.edges.center, self._differs, self._first_prims)
+        self.edges.start(passes, row, rows, pixel_count, self.rounds.positions)
+        for visit in reversed(self.rounds.visits(0)):  # the first one's samples stay
+            found = self.edges.center, self._differs, self._first_prims
+            self._samples.decide_all(passes, visit.number, pixel_count, *found)
+            self._flag_surfaces(passes.tiles.view, visit, pixel_count)
         count = passes.timed("resolve", partial(self._list_first, passes.tiles.view, pixel_count, target))
         self._count("edge_pixels", count)
         self._count("samples_shaded", pixel_count)
@@ -134,15 +86,19 @@ class StratifiedSampler:
             lists, count = passes.timed("resolve", judge)
             round_number += 1
 
-    def _list_first(self, view: np.ndarray, pixel_count: int, target: Shader) -> int:
+    def _flag_surfaces(self, view: np.ndarray, visit: Visit, pixel_count: int) -> None:
+        """Enqueue: flag pixels where a sample of a visit of the first round shows another surface; its last begins."""
         self._launch(
-            self._strata, "flag_surfaces", pixel_count, pixel_count=pixel_count, center_prims=self.edges.center,
-            differs=self._differs, sample_prims=self._first_prims, edge_flags=self.edges.flags, **self._ground(view),
+            self._strata, "flag_surfaces", pixel_count, pixel_count=pixel_count, lanes=visit.lanes,
+            begins=int(visit == self.rounds.visits(0)[-1]), center_prims=self.edges.center, differs=self._differs,
+            sample_prims=self._first_prims, edge_flags=self.edges.flags, **self._ground(view),
         )  # fmt: skip
+
+    def _list_first(self, view: np.ndarray, pixel_count: int, target: Shader) -> int:
         width = int(view["width"])
         self._launch(
             self._contrast, "flag_contrast", quads_of(pixel_count, width), pixel_count=pixel_count, width=width,
-            threshold=self.threshold, values=target.values, edge_flags=self.edges.flags,
+            threshold=self.rounds.threshold, values=target.values, edge_flags=self.edges.flags,
         )  # fmt: skip
         self.edges.count_flags(pixel_count)
         count = self.edges.list_flagged(pixel_count)
@@ -163,18 +119,19 @@ class StratifiedSampler:
             buffers.write(self.device, self.edges.room("all_slots", numbers.nbytes), numbers)
 
     def _parts_of(self, round_number: int) -> list[dict[str, Any]]:
-        """What a round looks at, part by part: visits of which samples are decided anew, and the kernels' arguments."""
+        """What a round looks at, part by part: visits whose samples are decided anew, and the kernels' arguments."""
         if round_number not in self._parts:
-            self._parts[round_number] = [self._part_of(part) for part in parted(visits_of(round_number))]
+            self._parts[round_number] = [self._part_of(part) for part in self.rounds.parts(round_number)]
         return self._parts[round_number]
 
     def _part_of(self, part: list[Visit]) -> dict[str, Any]:
-        later = [visit for visit, _, _ in part if visit != 0]
+        later = [visit.number for visit in part if visit.number != 0]
         rows: list[tuple[int, ...]] = []
         positions: list[Position] = []
-        for visit, is_new, shaded in part:
-            rows.append((VISIT_SAMPLES * later.index(visit) if visit else NO_HIT, int(is_new), shaded, 0))
-            positions += self.positions[VISIT_SAMPLES * visit : VISIT_SAMPLES * (visit + 1)]
+        for visit in part:
+            entry = VISIT_SAMPLES * later.index(visit.number) if visit.number else NO_HIT
+            rows.append((entry, visit.lanes, visit.shaded, int(visit.is_new)))
+            positions += self.rounds.positions[VISIT_SAMPLES * visit.number : VISIT_SAMPLES * (visit.number + 1)]
         packed = np.array([x | y << 16 for x, y in positions], dtype=np.uint32)
         return {
             "later": later, "visit_count": len(part), "stride": VISIT_SAMPLES * len(later),
@@ -198,7 +155,7 @@ class StratifiedSampler:
         self._count("samples_shaded", listed)
         self._launch(
             self._judging, "gather_strata", count, **self._band, pixel_count=pixel_count, listed_count=listed,
-            visit_count=part["visit_count"], colors=self.shader.values, values=target.values,
+            visit_count=part["visit_count"], begins=int(begins), colors=self.shader.values, values=target.values,
             deviations=self._deviations, **self._rooms("chosen", "stratum_counts", "first_shaded", "sums"),
         )  # fmt: skip
 
@@ -213,6 +170,7 @@ class StratifiedSampler:
         }  # fmt: skip
         self._launch(
             self._strata, "meet_strata", count, **self._band, **of_samples, **self._ground(view), begins=int(begins),
+            uses_center=int(self.rounds.uses_center),
             **self._rooms("open", "stratum_prims", "stratum_counts", "chosen_counts"),
         )  # fmt: skip
         listed = self.edges.sum_entries(self.edges.room("chosen_counts"), count)
@@ -231,11 +189,11 @@ class StratifiedSampler:
         self, round_number: int, lists: tuple[str, str], pixel_count: int, width: int, target: Shader
     ) -> tuple[tuple[str, str], int]:
         """Finish the pixels whose error is small; returns the lists of the others, and their number. Waits."""
-        count, samples = self._band["count"], VISIT_SAMPLES << round_number
+        count, rounds = self._band["count"], self.rounds
         self._launch(
             self._judging, "judge_strata", count, **self._band, pixel_count=pixel_count, width=width,
-            sample_count=float(samples), error_factor=float(np.float32(EDGE_ERROR * math.pow(samples, -0.75))),
-            threshold=self.threshold if samples < len(self.positions) else math.inf, deviations=self._deviations,
+            sample_count=float(rounds.samples[round_number]), error_factor=rounds.edge_error(round_number),
+            threshold=rounds.threshold_of(round_number), deviations=self._deviations,
             values=target.values, **self._rooms("stratum_counts", "sums", "open", "keep"),
         )  # fmt: skip
         kept = self.edges.sum_entries(self.edges.room("keep"), count)

@@ -33,14 +33,15 @@ class ListedSamples:
         self._program = kernels.build(device, "list_samples.cl", features)
 
     def decide_all(
-        self, passes: SamplePasses, pixel_count: int, center: cl.Buffer, differs: cl.Buffer, prims: cl.Buffer
-    ) -> None:
-        """Find what the samples of the first visit show in all pixels of the band. Waits.
+        self, passes: SamplePasses, visit: int, pixel_count: int, center: cl.Buffer, differs: cl.Buffer,
+        prims: cl.Buffer,
+    ) -> None:  # fmt: skip
+        """Find what the samples of a visit show in all pixels of the band. Waits.
 
         center : [pixel_count] what centres show. differs : [pixel_count] uchar, 1 where a sample shows another
         triangle. prims : [pixel_count * VISIT_SAMPLES] prim_id or NO_HIT, those of a pixel together, where it is 1.
         """
-        self._decide(passes, (0,), pixel_count, (center, differs, prims), None, None)
+        self._decide(passes, (visit,), pixel_count, (center, differs, prims), None, None)
 
     def decide(
         self, passes: SamplePasses, visits: Sequence[int], count: int, center: cl.Buffer, prims: cl.Buffer,

@@ -25,6 +25,7 @@ from typing import Any
 
 from clrast.errors import UsageError
 from clrast.opencl.constants import MAX_SHARED_SAMPLES as MAX_SHARED
+from clrast.option_values import check_choice
 
 UNITS = 256
 """Positions a pixel's side has."""
@@ -73,7 +74,8 @@ class Antialiasing:
     """What `--aa` asks for. kind : none, ssaa, msaa, csaa or auto.
 
     pattern : all samples; the first `depth_count` of them have visibility of their own, the rest (csaa's C) store only
-    whose they are. threshold : auto's EPS, else 0.
+    whose they are. threshold : estimated error from which on a pixel is sampled further: auto's EPS, or that of msaa
+    and csaa with shading rate auto, else 0.
     """
 
     kind: str
@@ -186,6 +188,21 @@ def parse_antialiasing(option: str, text: Any) -> Antialiasing:
 
 MAX_AUTO = 256
 """Most samples that `auto` gives a pixel."""
+
+SHADING_RATES = ("pixel", "sample", "auto")
+"""Of msaa and csaa: each surface of a pixel once, every sample, or the second where colours are estimated to be off by
+more than SHADING_ERROR, or EPS (auto:EPS)."""
+
+SHADING_ERROR = 0.05
+
+
+def parse_shading_rate(option: str, text: Any) -> tuple[str, float]:
+    """The rate as text, in one form, and the estimated error from which on auto shades all samples, else 0."""
+    if not isinstance(text, str) or not text.startswith("auto:"):
+        name = check_choice(option, text, SHADING_RATES)
+        return name, SHADING_ERROR if name == "auto" else 0.0
+    value = _threshold(option, text, text.removeprefix("auto:"))
+    return "auto" if value == SHADING_ERROR else f"auto:{value!r}", value
 
 
 def _in_range(option: str, text: str, count: int, most: int) -> int:
