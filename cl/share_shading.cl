@@ -124,7 +124,7 @@ static inline uint part_samples(
   return count;
 }
 
-// Reads: edge_pixels (list_samples.cl), center_prims, sample_prims (rasterize_tiles), scene buffers (host).
+// Reads: edge_pixels (list_samples.cl), center_prims, sample_prims (rasterize_tiles, rasterize_samples), scene buffers (host).
 // Writes: surfaces (for list_surfaces, resolve_surfaces), new_surfaces (for sum_bytes).
 // Work item: one edge pixel. Local memory: 0 bytes.
 kernel void group_samples(
@@ -133,7 +133,8 @@ kernel void group_samples(
     uint edge_count,                              // from there on
     uint depth_count,                             // samples with visibility of their own
     uint sample_count,                            // and coverage samples
-    uint prim_stride,
+    uint pixel_stride,                            // entries from one pixel to the next in sample_prims
+    uint sample_stride,                           // and from one sample
     uint parts,                                   // 1: each sample with visibility of its own is shaded
     float surface_distance,                       // of planes that count as one: world units, or a share of t
     global const float4 *restrict positions,      // [vertex_count] world space times world_scale
@@ -143,7 +144,7 @@ kernel void group_samples(
     global const uint *restrict sample_positions, // [sample_count] 256ths of a pixel, x | y << 16
     global const uint *restrict edge_pixels,      // [first_edge + edge_count]
     global const uint *restrict center_prims,     // [pixel_count]
-    global const uint *restrict sample_prims,     // [depth_count * prim_stride]
+    global const uint *restrict sample_prims,     // plane by plane of samples, or pixel by pixel
     global uchar *restrict surfaces,              // [edge_count * sample_count] number of each sample's surface
     global uchar *restrict new_surfaces)          // [edge_count] surfaces beside that of the centre
 {
@@ -164,7 +165,7 @@ kernel void group_samples(
   for (uint sample = 0; sample < depth_count; ++sample) {
     const uint position = sample_positions[sample];
     const float x = left + (float)(position & 0xffffu) / 256.0f, y = top + (float)(position >> 16) / 256.0f;
-    const uint prim_id = sample_prims[(size_t)sample * prim_stride + pixel];
+    const uint prim_id = sample_prims[(size_t)sample * sample_stride + (size_t)pixel * pixel_stride];
     shows_nothing |= prim_id == NO_HIT;
     out[sample] = find_surface(&g, &s, prim_id, x, y);
   }
@@ -211,10 +212,11 @@ kernel void list_surfaces(
     uint edge_count,                              // from there on
     uint depth_count,
     uint sample_count,
-    uint prim_stride,
+    uint pixel_stride,
+    uint sample_stride,
     global const uint *restrict sample_positions, // [sample_count]
     global const uint *restrict edge_pixels,      // [first_edge + edge_count]
-    global const uint *restrict sample_prims,     // [depth_count * prim_stride]
+    global const uint *restrict sample_prims,
     global const uchar *restrict surfaces,        // [edge_count * sample_count]
     global const uchar *restrict new_surfaces,    // [edge_count]
     global const uint *restrict begins,           // [chunks + 1]
@@ -230,7 +232,7 @@ kernel void list_surfaces(
     first_surfaces[item] = position;
     for (uint surface = 1; surface <= new_surfaces[item]; ++surface, ++position) {
       const uint sample = central_sample(surfaces + (size_t)item * sample_count, sample_positions, depth_count, surface);
-      shaded_prims[position] = sample_prims[(size_t)sample * prim_stride + pixel];
+      shaded_prims[position] = sample_prims[(size_t)sample * sample_stride + (size_t)pixel * pixel_stride];
       places[position] = (uint2)(pixel, sample_positions[sample]);
     }
   }

@@ -28,7 +28,6 @@ from clrast.scene.model import Camera, Scene
 from clrast.shading.accumulation import Accumulation
 from clrast.shading.antialias import antialiasing_of
 from clrast.shading.effects import EffectPlan, plan_effects
-from clrast.shading.strata import StratifiedSampler
 from clrast.shading.watch import Watch
 from clrast.visibility.cost_model import (
     CANDIDATE,
@@ -158,7 +157,7 @@ def start_job(
     if options.method != AUTO or options.casts_grid:
         return job
     antialiasing = antialiasing_of(options)
-    lists_samples = antialiasing.kind == "auto" or isinstance(job.resolver, StratifiedSampler)
+    lists_samples = job.resolver is not None and job.resolver.lists_samples
     job.reason = reason_without_choice(
         options.precision,
         lists_samples=lists_samples and isinstance(job.tiles, TileRasterizer) and job.tiles.takes_samples,

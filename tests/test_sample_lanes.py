@@ -85,7 +85,7 @@ def test_all_pixels_say_where_samples_differ(device: Device, lamps: clrast.Scene
     center = buffers.download(device, job.tiles.visible_prims, np.uint32, count)
     kept = buffers.upload(device, center)
     differs, found = buffers.create(device, count), buffers.create(device, 4 * VISIT_SAMPLES * count)
-    ListedSamples(device, job.features, PATTERN).decide_all(job.sample_passes, 0, count, kept, differs, found)
+    ListedSamples(device, job.features, PATTERN).decide_all(job.sample_passes, (0,), count, kept, differs, found)
     where = buffers.download(device, differs, np.uint8, count) != 0
     np.testing.assert_array_equal(where, (expected != center[:, None]).any(axis=1))
     assert 0.01 < where.mean() < 0.9
@@ -135,7 +135,14 @@ def test_rounds_look_at_each_sample_once_and_shade_a_quarter() -> None:
 
 
 @pytest.mark.parametrize("change", [{"method": "3dr-full"}, {"precision": "exact"}, {"counters": True}])
-@pytest.mark.parametrize("mode", [{"aa": "auto:0.02"}, {"aa": "csaa:4+8", "shading_rate": "auto:0.02"}], ids=str)
+@pytest.mark.parametrize(
+    "mode",
+    [
+        {"aa": "auto:0.02"}, {"aa": "csaa:4+8", "shading_rate": "auto:0.02"}, {"aa": "msaa:32"},
+        {"aa": "csaa:16+8", "filter": "tent"},
+    ],
+    ids=str,
+)  # fmt: skip
 def test_lists_are_the_same_by_lanes_and_by_passes(mode: dict[str, object], change: dict[str, object]) -> None:
     """Methods and rungs that have no lanes for lists decide whole bands; short numbers, where float32 is exact too."""
     device = open_device(runtimes().working[next(iter(runtimes().working))])

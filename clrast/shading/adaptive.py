@@ -33,6 +33,8 @@ class AdaptiveSampler:
     shader : of colour alone, of all pixels. layers : adds what lies behind the surfaces that blend.
     """
 
+    lists_samples = False
+
     def __init__(
         self, device: Device, features: Features, wanted: Antialiasing, shader: Shader, max_pixels: int,
         layers: Layers,

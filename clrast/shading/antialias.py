@@ -27,8 +27,12 @@ if TYPE_CHECKING:
 
 
 class Resolver(Protocol):
-    """Replaces the colour of a band, shaded at the pixels' centres, by that of its samples."""
+    """Replaces the colour of a band, shaded at the pixels' centres, by that of its samples.
 
+    lists_samples : whether visibility of many samples is decided at once where a method can (listed_samples.py).
+    """
+
+    lists_samples: bool
     counts: dict[str, int]
     shader: Shader
 

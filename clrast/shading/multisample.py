@@ -13,14 +13,16 @@ from typing import Any
 import numpy as np
 
 from clrast.opencl import buffers, kernels
-from clrast.opencl.constants import LIST_CHUNK
+from clrast.opencl.constants import LIST_CHUNK, VISIT_SAMPLES
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features, Projection
 from clrast.shading.edge_pixels import BYTES_PER_PIXEL, EdgePixels, padded
 from clrast.shading.filters import reach_of, weight_table
 from clrast.shading.shade import WORK_GROUP, Shader
+from clrast.visibility.listed_samples import ListedSamples
 from clrast.visibility.sample_passes import SamplePasses
 from clrast.visibility.sample_patterns import Antialiasing
+from clrast.visibility.tiles import TileRasterizer
 
 TYPICAL_SURFACES = 2
 """Surfaces an edge pixel that memory is planned for where no budget is given."""
@@ -68,6 +70,10 @@ class Multisampler:
         self.own_launches = 0
         self.reach = reach_of(filter_name)
         self.edges = EdgePixels(device, features, wanted.depth_count, max_pixels)
+        decided = wanted.pattern.positions[: wanted.depth_count]
+        self.lists_samples = not parts and len(decided) % VISIT_SAMPLES == 0
+        self._samples = ListedSamples(device, features, decided) if self.lists_samples else None
+        self._strides = 1, self.edges.stride
         self._sharing = kernels.build(device, "share_shading.cl", features)
         self._resolving = kernels.build(device, "resolve_samples.cl", features)
         packed = [x | y << 16 for x, y in wanted.pattern.positions]
@@ -78,7 +84,7 @@ class Multisampler:
     @property
     def launches(self) -> int:
         """Kernels launched so far, the shader's apart."""
-        return self.own_launches + self.edges.launches
+        return self.own_launches + self.edges.launches + (0 if self._samples is None else self._samples.launches)
 
     @staticmethod
     def bytes_per_pixel(wanted: Antialiasing, filter_name: str, at_worst: bool) -> int:
@@ -89,20 +95,27 @@ class Multisampler:
 
     def resolve_band(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, target: Shader) -> None:
         """Replace the colour of a band in `target`, shaded at the centres, by that of its samples. Waits."""
-        timed = passes.timed
-        decided = self.wanted.pattern.positions[: self.wanted.depth_count]
-        self.edges.decide(passes, row, rows, pixel_count, decided, decided)
+        self._decide(passes, row, rows, pixel_count)
         self._count("samples_shaded", 0 if self.parts else pixel_count)
-        timed("resolve", partial(self._flag, pixel_count))
         self._share(passes, pixel_count, target)
 
-    def _flag(self, pixel_count: int) -> None:
-        """Enqueue: flag the pixels whose samples are looked at, edge pixels or all."""
-        if not self.parts:
-            self.edges.flag(pixel_count)
+    def _decide(self, passes: SamplePasses, row: int, rows: int, pixel_count: int) -> None:
+        """Find what the samples show, and flag the pixels that are looked at, edge pixels or all. Waits."""
+        edges, decided = self.edges, self.wanted.pattern.positions[: self.wanted.depth_count]
+        tiles = passes.tiles
+        if self._samples is not None and isinstance(tiles, TileRasterizer) and tiles.takes_samples:
+            visits = range(len(decided) // VISIT_SAMPLES)
+            edges.start(passes, row, rows, pixel_count, decided)
+            self._samples.decide_all(passes, visits, pixel_count, edges.center, edges.flags, edges.prims)
+            self._strides = len(decided), 1
+            passes.timed("resolve", partial(edges.count_flags, pixel_count))
             return
-        buffers.fill(self.device, self.edges.flags, np.uint8(255), pixel_count)
-        self.edges.count_flags(pixel_count)
+        edges.decide(passes, row, rows, pixel_count, decided, decided)
+        if not self.parts:
+            passes.timed("resolve", partial(edges.flag, pixel_count))
+            return
+        buffers.fill(self.device, edges.flags, np.uint8(255), pixel_count)
+        passes.timed("resolve", partial(edges.count_flags, pixel_count))
 
     def _share(self, passes: SamplePasses, pixel_count: int, target: Shader) -> None:
         """Shade the surfaces of the pixels that are flagged, or (`parts`) their samples, and resolve the pixels."""
@@ -130,9 +143,10 @@ class Multisampler:
         room = self.edges.room
         of_samples = {
             "edge_count": edge_count, "depth_count": self.wanted.depth_count,
-            "sample_count": len(self.wanted.pattern), "prim_stride": self.edges.stride,
-            "sample_positions": self._positions, "edge_pixels": room("edge_pixels"), "first_edge": first,
-            "sample_prims": self.edges.prims, "surfaces": room("surfaces", edge_count * len(self.wanted.pattern)),
+            "sample_count": len(self.wanted.pattern), "pixel_stride": self._strides[0],
+            "sample_stride": self._strides[1], "sample_positions": self._positions,
+            "edge_pixels": room("edge_pixels"), "first_edge": first, "sample_prims": self.edges.prims,
+            "surfaces": room("surfaces", edge_count * len(self.wanted.pattern)),
             "new_surfaces": room("new_surfaces", edge_count),
         }  # fmt: skip
         self._launch(

@@ -35,6 +35,8 @@ TYPICAL_SHADED = 6
 class StratifiedSampler:
     """Samples a band's pixels in rounds. shader : of colour alone, with features.sample_list."""
 
+    lists_samples = True
+
     def __init__(self, device: Device, features: Features, rounds: Rounds, shader: Shader, max_pixels: int) -> None:
         shader.footprint = rounds.footprint
         self.device, self.rounds, self.shader = device, rounds, shader
@@ -70,7 +72,7 @@ class StratifiedSampler:
         self.edges.start(passes, row, rows, pixel_count, self.rounds.positions)
         for visit in reversed(self.rounds.visits(0)):  # the first one's samples stay
             found = self.edges.center, self._differs, self._first_prims
-            self._samples.decide_all(passes, visit.number, pixel_count, *found)
+            self._samples.decide_all(passes, (visit.number,), pixel_count, *found)
             self._flag_surfaces(passes.tiles.view, visit, pixel_count)
         count = passes.timed("resolve", partial(self._list_first, passes.tiles.view, pixel_count, target))
         self._count("edge_pixels", count)

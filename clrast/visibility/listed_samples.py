@@ -33,15 +33,15 @@ class ListedSamples:
         self._program = kernels.build(device, "list_samples.cl", features)
 
     def decide_all(
-        self, passes: SamplePasses, visit: int, pixel_count: int, center: cl.Buffer, differs: cl.Buffer,
+        self, passes: SamplePasses, visits: Sequence[int], pixel_count: int, center: cl.Buffer, differs: cl.Buffer,
         prims: cl.Buffer,
     ) -> None:  # fmt: skip
-        """Find what the samples of a visit show in all pixels of the band. Waits.
+        """Find what the samples of some visits, as few as one launch takes, show in all pixels of the band. Waits.
 
         center : [pixel_count] what centres show. differs : [pixel_count] uchar, 1 where a sample shows another
-        triangle. prims : [pixel_count * VISIT_SAMPLES] prim_id or NO_HIT, those of a pixel together, where it is 1.
+        triangle. prims : [pixel_count * samples] prim_id or NO_HIT, those of a pixel together, where it is 1.
         """
-        self._decide(passes, (visit,), pixel_count, (center, differs, prims), None, None)
+        self._decide(passes, visits, pixel_count, (center, differs, prims), None, None)
 
     def decide(
         self, passes: SamplePasses, visits: Sequence[int], count: int, center: cl.Buffer, prims: cl.Buffer,
