@@ -5,13 +5,14 @@
     python tools/bench_aa.py --modes none,msaa:16,csaa:4+12 --repetitions 30 --scenes bunny,dragon
     python tools/bench_aa.py --mode whitted               1 shadow ray and 1 reflection ray of each shaded sample
 
-A mode is one of `--aa`, with `/sample` or `/auto` behind it for that `--shading-rate`. All modes render each scene in
-turn, so that a machine that drifts drifts for all. A time is that of a whole frame: setup, binning, visibility,
-shading, resolve and reading the channels back, not of loading and writing. The table gives medians with the 10th and
-90th percentile and the median of the paired ratios to `none`. The error is the root mean square over R, G, B and over
-A, of the pixels where the reference and `none` differ (edges, textures, and with rays shadows and mirrored things)
-against `--reference`, which comes from the same kernels: it measures sampling, not shading. `edges` is the error where
-a sample of the pixel shows another triangle than its centre (which `msaa` finds), `inside` that of the other pixels.
+A mode is one of `--aa`, with `/sample`, `/auto` or `/auto:EPS` behind it for that `--shading-rate`. All modes render
+each scene in turn, so that a machine that drifts drifts for all. A time is that of a whole frame: setup, binning,
+visibility, shading, resolve and reading the channels back, not of loading and writing. The table gives medians with the
+10th and 90th percentile and the median of the paired ratios to `none`. The error is the root mean square over R, G, B
+and over A, of the pixels where the reference and `none` differ (edges, textures, and with rays shadows and mirrored
+things) against `--reference`, which comes from the same kernels: it measures sampling, not shading. `edges` is the
+error where a sample of the pixel shows another triangle than its centre (which `msaa` finds), `inside` that of the
+other pixels.
 
 Modes `shadow` and `whitted` measure what Davidovic et al., '3D Rasterization', Fig. 8, do ('recursive ray tracing with
 1 shadow ray, and 1 reflection ray for every sample'; their 16 x MSAA takes 11 times as long as no antialiasing, their
