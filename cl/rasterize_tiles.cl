@@ -140,7 +140,7 @@ kernel void rasterize_tiles(
 #if KEEP_NEARNESS
   clear_samples(view, left, top, &samples, resume, layer, front_nearness, front_prims, nearness, visible_prims);
   begin = min(begin + first_reference, end);
-  end = begin + min(reference_span, end - begin);
+  end = layer > 0 && !has_front(&samples) ? begin : begin + min(reference_span, end - begin);
 #else
   clear_samples(view, left, top, &samples);
 #endif

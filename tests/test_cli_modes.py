@@ -131,11 +131,14 @@ def test_samples_that_cannot_share_shading_are_said(folder: Path, capsys: pytest
     """Where surfaces blend each sample has layers of its own: the note names the mode that it is."""
     glass = CARD.replace('name = "mirror"', 'name = "mirror"\nalpha_mode = "BLEND"') + 'material = "mirror"\n'
     (folder / "glass.toml").write_text(glass.replace("1.0, 1.0, 1.0, 1.0", "1.0, 1.0, 1.0, 0.5"))
-    for name, aa, same in (("glass", "csaa:2+6", "ssaa:2"), ("glass", "msaa:4", "ssaa:4"), ("lit", "msaa:4", None)):
-        out = str(folder / "out.exr")
-        assert main(["render", str(folder / f"{name}.toml"), "-o", out, "--size", "16x16", "--aa", aa]) == 0
+    for name, aa, rate, same in (
+        ("glass", "csaa:2+6", "pixel", "ssaa:2"), ("glass", "msaa:4", "sample", "ssaa:4"),
+        ("glass", "msaa:4", "auto", None), ("lit", "msaa:4", "pixel", None),
+    ):  # fmt: skip
+        out, given = str(folder / "out.exr"), ["--aa", aa, "--shading-rate", rate]
+        assert main(["render", str(folder / f"{name}.toml"), "-o", out, "--size", "16x16", *given]) == 0
         lines = [line for line in capsys.readouterr().err.splitlines() if "surfaces blend here" in line]
-        assert len(lines) == (same is not None) and all(line.endswith(f"those of {same}") for line in lines)
+        assert len(lines) == (same is not None) and all(f"those of {same}; --shading-rate auto" in s for s in lines)
     found = clrast.Frame.load(folder / "out.exr")
     assert found.header["aa"] == "msaa:4"
 

@@ -53,12 +53,15 @@ def _notes_of_layers(scene: Scene, options: RenderOptions) -> tuple[str, ...]:
     from clrast.shading.effects import plan_effects
 
     wanted = antialiasing_of(options)
-    if wanted.kind not in ("msaa", "csaa"):
+    if wanted.kind not in ("msaa", "csaa") or wanted.threshold:
         return ()
     if not plan_effects(scene, options.aov, options.effects, options.mode)["alpha blend"]:
         return ()
     same = f"ssaa:{wanted.depth_count}"
-    return (f"surfaces blend here, so --aa {options.aa} shades each sample: time and image are those of {same}",)
+    return (
+        f"surfaces blend here, so --aa {options.aa} shades each sample: time and image are those of {same}; "
+        "--shading-rate auto shades fewer",
+    )  # fmt: skip
 
 
 def merge_options(scene: Scene, given: Mapping[str, Any], source: str) -> tuple[RenderOptions, tuple[str, ...]]:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Protocol
 
 from clrast.errors import CapacityError
 from clrast.options import RenderOptions
-from clrast.shading.adaptive import STATE_BYTES, AdaptiveSampler
 from clrast.shading.filters import reach_of
 from clrast.shading.multisample import Multisampler
 from clrast.shading.rounds import rounds_of
@@ -51,7 +50,7 @@ def antialiasing_of(options: RenderOptions) -> Antialiasing:
 
 
 def shares_shading(wanted: Antialiasing, options: RenderOptions, blends: bool) -> bool:
-    """Whether samples of one surface share its shading. Where surfaces blend each sample has layers of its own."""
+    """Whether samples of one surface share its one shading. Where surfaces blend each sample has layers of its own."""
     return wanted.kind in ("msaa", "csaa") and not blends and (wanted.kind, options.shading_rate) != ("msaa", "sample")
 
 
@@ -62,15 +61,14 @@ def uses_centers(options: RenderOptions, blends: bool) -> bool:
     return blends or not shades_all
 
 
-def resolver_bytes(options: RenderOptions, blends: bool) -> tuple[int, int]:
+def resolver_bytes(options: RenderOptions, features: Features, blends: bool) -> tuple[int, int]:
     """Device bytes a pixel of a band takes for antialiasing, and those of them in the largest buffer."""
     wanted = antialiasing_of(options)
     if wanted.kind == "none":
         return 0, 0
-    if wanted.threshold and not blends:
-        return StratifiedSampler.bytes_per_pixel(rounds_of(wanted), options.memory is not None), SUMS_BYTES
-    if wanted.kind == "auto":
-        return AdaptiveSampler.bytes_per_pixel(), STATE_BYTES
+    if wanted.threshold:
+        layered = features if blends else None
+        return StratifiedSampler.bytes_per_pixel(rounds_of(wanted), options.memory is not None, layered), SUMS_BYTES
     if not shares_shading(wanted, options, blends):
         return Supersampler.bytes_per_pixel(), 20
     at_worst = options.memory is not None or options.shading_rate != "pixel"
@@ -93,13 +91,11 @@ def make_resolver(
     wanted = antialiasing_of(options)
     if wanted.kind == "none":
         return None
-    if wanted.threshold and layers is None:
+    blends = layers is not None
+    if wanted.threshold:
         listed = shader.sibling(replace(features, sample_list=True), ("color",), 1)
-        return StratifiedSampler(device, features, rounds_of(wanted), listed, max_pixels)
-    if wanted.kind == "auto" and layers is not None:
-        color = shader.sibling(features, ("color",), max_pixels)
-        return AdaptiveSampler(device, features, wanted, color, max_pixels, layers)
-    if shares_shading(wanted, options, layers is not None):
+        return StratifiedSampler(device, features, rounds_of(wanted), listed, max_pixels, blends)
+    if shares_shading(wanted, options, blends):
         listed = shader.sibling(replace(features, sample_list=True), ("color",), 1)
         parts = options.shading_rate == "sample"
         return Multisampler(device, features, wanted, options.filter, listed, max_pixels, parts)

@@ -28,7 +28,7 @@ EDGE_ERROR = 0.9
 
 @dataclass(frozen=True)
 class Visit:
-    """VISIT_SAMPLES samples, by number. lanes, shaded : a bit for each that counts, and that may be shaded. is_new :
+    """VISIT_SAMPLES samples, by number. lanes, shaded : a bit for each that is one, and that may be shaded. is_new :
     whether they are counted now."""
 
     number: int

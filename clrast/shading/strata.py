@@ -20,6 +20,7 @@ from clrast.shading.edge_pixels import BYTES_PER_PIXEL, EdgePixels, padded, quad
 from clrast.shading.multisample import ground_arguments
 from clrast.shading.rounds import Rounds, Visit
 from clrast.shading.shade import WORK_GROUP, Shader
+from clrast.visibility.listed_layers import ListedLayers, nearness_bytes
 from clrast.visibility.listed_samples import ListedSamples
 from clrast.visibility.sample_passes import SamplePasses
 from clrast.visibility.sample_patterns import Position
@@ -32,12 +33,23 @@ TYPICAL_SHADED = 6
 """Samples of a listed pixel shaded at once that memory is planned for where no budget is given."""
 
 
+def bits_of(mask: int) -> list[int]:
+    """Which bits are set, the lowest first."""
+    return [k for k in range(mask.bit_length()) if mask >> k & 1]
+
+
 class StratifiedSampler:
-    """Samples a band's pixels in rounds. shader : of colour alone, with features.sample_list."""
+    """Samples a band's pixels in rounds.
+
+    shader : of colour alone, with features.sample_list. blends : whether surfaces do; what lies behind them is found
+    for the samples that are shaded.
+    """
 
     lists_samples = True
 
-    def __init__(self, device: Device, features: Features, rounds: Rounds, shader: Shader, max_pixels: int) -> None:
+    def __init__(
+        self, device: Device, features: Features, rounds: Rounds, shader: Shader, max_pixels: int, blends: bool
+    ) -> None:
         shader.footprint = rounds.footprint
         self.device, self.rounds, self.shader = device, rounds, shader
         self._projection = features.projection
@@ -45,11 +57,13 @@ class StratifiedSampler:
         self.own_launches = 0
         self.edges = EdgePixels(device, features, 0, max_pixels)
         self._samples = ListedSamples(device, features, rounds.positions)
+        self._layers = ListedLayers(device, features, rounds.positions, max_pixels) if blends else None
+        self._nearness_bytes = nearness_bytes(features)
         self._first_prims = buffers.create(device, 4 * VISIT_SAMPLES * max_pixels)
         self._differs = buffers.create(device, max_pixels)
         self._strata = kernels.build(device, "stratify_samples.cl", features)
         self._judging = kernels.build(device, "judge_strata.cl", features)
-        self._contrast = kernels.build(device, "adaptive_samples.cl", features)
+        self._contrast = kernels.build(device, "flag_contrast.cl", features)
         self._parts: dict[int, list[dict[str, Any]]] = {}
         self._deviations = buffers.create(device, 4 * max_pixels)
         self._numbered = 0
@@ -57,14 +71,19 @@ class StratifiedSampler:
     @property
     def launches(self) -> int:
         """Kernels launched so far, the shader's apart."""
-        return self.own_launches + self.edges.launches + self._samples.launches
+        layers = 0 if self._layers is None else self._layers.launches
+        return self.own_launches + self.edges.launches + self._samples.launches + layers
 
     @staticmethod
-    def bytes_per_pixel(rounds: Rounds, at_worst: bool) -> int:
-        """Device bytes a pixel of a band takes here where all are listed; at_worst : and all that may be is shaded."""
+    def bytes_per_pixel(rounds: Rounds, at_worst: bool, features: Features | None) -> int:
+        """Device bytes a pixel of a band takes here where all are listed; at_worst : and all that may be is shaded.
+        features : where surfaces blend."""
         shaded = rounds.worst_shaded if at_worst else TYPICAL_SHADED
         visits = rounds.worst_visits if at_worst else 1
         of_listed = 5 * 4 + STATE_BYTES + 8 * (1 + visits) + 1 + 4 + 1 + 4 * VISIT_SAMPLES * visits
+        if features is not None:
+            of_listed += ListedLayers.bytes_per_pixel(features) + 4 * VISIT_SAMPLES
+            of_listed += nearness_bytes(features) * VISIT_SAMPLES * (1 + visits)
         return BYTES_PER_PIXEL + 5 + 4 * VISIT_SAMPLES + of_listed + shaded * (12 + Shader.bytes_per_pixel(("color",)))
 
     def resolve_band(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, target: Shader) -> None:
@@ -127,16 +146,18 @@ class StratifiedSampler:
         return self._parts[round_number]
 
     def _part_of(self, part: list[Visit]) -> dict[str, Any]:
-        later = [visit.number for visit in part if visit.number != 0]
+        later = [visit.number for visit in part if visit.number != 0 or self._layers is not None]
         rows: list[tuple[int, ...]] = []
         positions: list[Position] = []
-        for visit in part:
-            entry = VISIT_SAMPLES * later.index(visit.number) if visit.number else NO_HIT
-            rows.append((entry, visit.lanes, visit.shaded, int(visit.is_new)))
+        # By passes only those samples are decided again that may be shaded.
+        lanes = [visit.shaded if self._layers is not None and not visit.is_new else visit.lanes for visit in part]
+        for visit, looked_at in zip(part, lanes, strict=True):
+            entry = VISIT_SAMPLES * later.index(visit.number) if visit.number in later else NO_HIT
+            rows.append((entry, looked_at, visit.shaded, int(visit.is_new)))
             positions += self.rounds.positions[VISIT_SAMPLES * visit.number : VISIT_SAMPLES * (visit.number + 1)]
         packed = np.array([x | y << 16 for x, y in positions], dtype=np.uint32)
         return {
-            "later": later, "visit_count": len(part), "stride": VISIT_SAMPLES * len(later),
+            "later": later, "lanes": lanes, "visit_count": len(part), "stride": VISIT_SAMPLES * len(later),
             "visits": buffers.upload(self.device, np.array(rows, dtype=np.uint32)),
             "sample_positions": buffers.upload(self.device, packed),
         }  # fmt: skip
@@ -147,13 +168,20 @@ class StratifiedSampler:
         """Find what samples of the listed pixels show, shade those that are called for, and sum them."""
         view, count = passes.tiles.view, self._band["count"]
         later = self.edges.room("later_prims", 4 * part["stride"] * count)
-        lists = self.edges.places, self._band["pixels"]
-        self._samples.decide(passes, part["later"], count, self.edges.center, later, *lists)
+        if self._layers is None:
+            lists = self.edges.places, self._band["pixels"]
+            self._samples.decide(passes, part["later"], count, self.edges.center, later, *lists)
+        else:
+            self._layers.start(pixel_count, self._band["pixels"], count)
+            samples = [VISIT_SAMPLES * v + k for v, lanes in enumerate(part["lanes"]) for k in bits_of(lanes)]
+            self._layers.decide(passes, part["later"], samples, self._entries(part))
         listed = passes.timed("resolve", partial(self._choose, view, part, begins))
         if not listed:
             return
         shaded = self.edges.room("shaded_prims"), listed, 0, self.edges.room("places")
         passes.timed("shade", partial(self.shader.shade, view, *shaded))
+        if self._layers is not None:
+            self._shade_behind(passes, self._layers, part, listed)
         self._count("samples_shaded", listed)
         self._launch(
             self._judging, "gather_strata", count, **self._band, pixel_count=pixel_count, listed_count=listed,
@@ -161,31 +189,63 @@ class StratifiedSampler:
             deviations=self._deviations, **self._rooms("chosen", "stratum_counts", "first_shaded", "sums"),
         )  # fmt: skip
 
+    def _entries(self, part: dict[str, Any]) -> dict[str, Any]:
+        """What samples of the visits of a part show, and how near, as arguments."""
+        size = self._nearness_bytes * part["stride"] * self._band["count"]
+        return {
+            "stride": part["stride"], "prims": self.edges.room("later_prims"),
+            "nearness": self.edges.room("nearness", size),
+        }  # fmt: skip
+
+    def _shade_behind(self, passes: SamplePasses, layers: ListedLayers, part: dict[str, Any], listed: int) -> None:
+        """Add what lies behind the samples that are shaded and let light through, layer by layer. Waits."""
+        count, layer = self._band["count"], 0
+        shape = count, part["visit_count"], 2
+        chosen = buffers.download(self.device, self.edges.room("chosen"), np.uint32, shape)[..., 0]
+        masks = np.bitwise_or.reduce(chosen, axis=0).tolist()
+        samples = [VISIT_SAMPLES * v + k for v, mask in enumerate(masks) for k in bits_of(mask)]
+        while self.shader.has_open_pixels(listed):
+            layer += 1
+            shaded = {"visit_count": part["visit_count"], "open_samples": self.shader.open_pixels}
+            shaded |= self._rooms("chosen", "first_shaded")
+            layers.decide_behind(passes, part["later"], samples, layer, self._entries(part), shaded)
+            passes.timed("resolve", partial(self._list_chosen, part))
+            lists = self.edges.room("shaded_prims"), listed, layer, self.edges.room("places")
+            passes.timed("shade", partial(self.shader.shade, passes.tiles.view, *lists))
+
     def _choose(self, view: np.ndarray, part: dict[str, Any], begins: bool) -> int:
         """List the samples that are to be shaded; returns their number. Waits."""
         count = self._band["count"]
-        of_samples = {name: part[name] for name in ("visit_count", "stride", "visits", "sample_positions")}
-        of_samples |= {
-            "center_prims": self.edges.center, "differs": self._differs, "first_prims": self._first_prims,
-            "later_prims": self.edges.room("later_prims"),
-            "chosen": self.edges.room("chosen", 8 * part["visit_count"] * count),
-        }  # fmt: skip
+        chosen = self.edges.room("chosen", 8 * part["visit_count"] * count)
         self._launch(
-            self._strata, "meet_strata", count, **self._band, **of_samples, **self._ground(view), begins=int(begins),
-            uses_center=int(self.rounds.uses_center),
+            self._strata, "meet_strata", count, **self._band, **self._samples_of(part), **self._ground(view),
+            chosen=chosen, begins=int(begins), uses_center=int(self.rounds.uses_center),
             **self._rooms("open", "stratum_prims", "stratum_counts", "chosen_counts"),
         )  # fmt: skip
         listed = self.edges.sum_entries(self.edges.room("chosen_counts"), count)
         if listed:
-            band = {name: self._band[name] for name in ("count", "pixels")}
-            self._strata.launch(
-                "list_chosen", -(-count // LIST_CHUNK), 1, **band, **of_samples, begins=self.edges.begins,
-                shaded_prims=self.edges.room("shaded_prims", 4 * listed), places=self.edges.room("places", 8 * listed),
-                first_shaded=self.edges.room("first_shaded"),
-            )  # fmt: skip
-            self.own_launches += 1
+            self.edges.room("shaded_prims", 4 * listed)
+            self.edges.room("places", 8 * listed)
+            self._list_chosen(part)
             self.shader.make_room(listed)
         return listed
+
+    def _samples_of(self, part: dict[str, Any]) -> dict[str, Any]:
+        """What the samples of a part are and show, as arguments."""
+        of_samples = {name: part[name] for name in ("visit_count", "stride", "visits", "sample_positions")}
+        return of_samples | {
+            "center_prims": self.edges.center, "differs": self._differs, "first_prims": self._first_prims,
+            "later_prims": self.edges.room("later_prims"),
+        }  # fmt: skip
+
+    def _list_chosen(self, part: dict[str, Any]) -> None:
+        """Enqueue: list what the samples that are shaded show."""
+        band = {name: self._band[name] for name in ("count", "pixels")}
+        self._strata.launch(
+            "list_chosen", -(-band["count"] // LIST_CHUNK), 1, **band, **self._samples_of(part),
+            begins=self.edges.begins, **self._rooms("chosen", "first_shaded", "shaded_prims", "places"),
+        )  # fmt: skip
+        self.own_launches += 1
 
     def _judge(
         self, round_number: int, lists: tuple[str, str], pixel_count: int, width: int, target: Shader

@@ -56,18 +56,25 @@ class SamplePasses:
         self.timed("bin", self.tiles.finish_lists)
         return references
 
-    def decide(self, positions: Sequence[Position], planes: Sequence[cl.Buffer] | None = None) -> None:
+    def decide(
+        self, positions: Sequence[Position], planes: Sequence[cl.Buffer] | None = None, layer: int = 0,
+        front: tuple[cl.Buffer, cl.Buffer] | None = None,
+    ) -> None:  # fmt: skip
         """Find what is visible at these places of each pixel of the band. Waits once.
 
-        planes : where to, for each; None for `tiles.visible_prims`, which has the last.
+        planes : where to, for each; None for `tiles.visible_prims`, which has the last. layer, front : as the tiles'
+        `rasterize` takes them.
         """
-        self.timed("visibility", partial(self._decide, positions, planes))
+        self.timed("visibility", partial(self._decide, positions, planes, layer, front))
         self.count += len(positions)
 
-    def _decide(self, positions: Sequence[Position], planes: Sequence[cl.Buffer] | None) -> None:
+    def _decide(
+        self, positions: Sequence[Position], planes: Sequence[cl.Buffer] | None, layer: int,
+        front: tuple[cl.Buffer, cl.Buffer] | None,
+    ) -> None:  # fmt: skip
         own = self.tiles.visible_prims
         for position, plane in zip(positions, planes or [own] * len(positions), strict=True):
             place_samples(self.tiles.view, position)
             self.tiles.visible_prims = plane
-            self.tiles.rasterize()
+            self.tiles.rasterize(layer, front)
         self.tiles.visible_prims = own

@@ -25,7 +25,6 @@ from typing import Any
 
 from clrast.errors import UsageError
 from clrast.opencl.constants import MAX_SHARED_SAMPLES as MAX_SHARED
-from clrast.option_values import check_choice
 
 UNITS = 256
 """Positions a pixel's side has."""
@@ -198,9 +197,10 @@ SHADING_ERROR = 0.05
 
 def parse_shading_rate(option: str, text: Any) -> tuple[str, float]:
     """The rate as text, in one form, and the estimated error from which on auto shades all samples, else 0."""
-    if not isinstance(text, str) or not text.startswith("auto:"):
-        name = check_choice(option, text, SHADING_RATES)
-        return name, SHADING_ERROR if name == "auto" else 0.0
+    if not isinstance(text, str) or (text not in SHADING_RATES and not text.startswith("auto:")):
+        raise UsageError(f"{option} {text!r} is unknown: use pixel, sample, auto or auto:EPS")
+    if text in SHADING_RATES:
+        return text, SHADING_ERROR if text == "auto" else 0.0
     value = _threshold(option, text, text.removeprefix("auto:"))
     return "auto" if value == SHADING_ERROR else f"auto:{value!r}", value
 

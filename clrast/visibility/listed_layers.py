@@ -1,0 +1,98 @@
+"""What samples of listed pixels show where surfaces blend, layer by layer (cl/listed_layers.cl)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from clrast.opencl import buffers, kernels
+from clrast.opencl.constants import VISIT_SAMPLES
+from clrast.opencl.device import Device
+from clrast.opencl.features import Features
+from clrast.visibility.sample_passes import SamplePasses
+from clrast.visibility.sample_patterns import Position
+
+if TYPE_CHECKING:
+    import pyopencl as cl
+
+WORK_GROUP = 64
+
+
+def nearness_bytes(features: Features) -> int:
+    """Device bytes a sample's nearness takes."""
+    return 4 * features.nearness_planes
+
+
+class ListedLayers:
+    """Decides samples of a list's pixels, each by a pass over the band that meets nothing beside the list.
+
+    positions : of whole visits. With features.keep_nearness.
+    """
+
+    def __init__(self, device: Device, features: Features, positions: Sequence[Position], max_pixels: int) -> None:
+        self.device, self.positions = device, positions
+        self.launches = 0
+        self._is_masked = not features.filtered
+        self._program = kernels.build(device, "listed_layers.cl", features)
+        self._front_nearness = buffers.create(device, nearness_bytes(features) * max_pixels)
+        self._front_prims = buffers.create(device, 4 * max_pixels)
+        self._found = buffers.create(device, 4 * max_pixels)
+
+    @staticmethod
+    def bytes_per_pixel(features: Features) -> int:
+        """Device bytes a pixel of a band takes here."""
+        return nearness_bytes(features) + 2 * 4
+
+    def start(self, pixel_count: int, pixels: cl.Buffer, count: int) -> None:
+        """Enqueue: from here on the list is `pixels`, [count] of the band."""
+        self._count = count
+        self._list: dict[str, Any] = {"count": count, "pixel_count": pixel_count, "pixels": pixels}
+        fronts = {"front_nearness": self._front_nearness, "front_prims": self._front_prims}
+        self._launch("close_fronts", pixel_count, pixel_count=pixel_count, **fronts)
+
+    def decide(
+        self, passes: SamplePasses, numbers: Sequence[int], samples: Iterable[int], found: dict[str, Any]
+    ) -> None:
+        """Find what some samples show first. Waits.
+
+        numbers : of the visits that are kept. samples : which of theirs. found : prims [count * stride] and nearness,
+        of all samples of the visits, and `stride`.
+        """
+        front = None
+        if self._is_masked:
+            opened = {"count": self._count, "pixels": self._list["pixels"]}
+            self._launch("open_fronts", self._count, **opened, front_nearness=self._front_nearness)
+            front = self._front_nearness, self._front_prims
+        for sample in samples:
+            self._pass(passes, numbers, sample, int(front is not None), front, found)
+
+    def decide_behind(
+        self, passes: SamplePasses, numbers: Sequence[int], samples: Iterable[int], layer: int, found: dict[str, Any],
+        shaded: dict[str, Any],
+    ) -> None:  # fmt: skip
+        """Replace what samples show by what lies behind it, where they are shaded and open. Waits.
+
+        shaded : which those are: visit_count, chosen, first_shaded, open_samples.
+        """
+        front = self._front_nearness, self._front_prims
+        for sample in samples:
+            self._launch(
+                "put_fronts", self._count, **self._list, **shaded, **found, sample=sample,
+                front_nearness=self._front_nearness, front_prims=self._front_prims,
+            )  # fmt: skip
+            self._pass(passes, numbers, sample, layer, front, found)
+
+    def _pass(
+        self, passes: SamplePasses, numbers: Sequence[int], sample: int, layer: int,
+        front: tuple[cl.Buffer, cl.Buffer] | None, found: dict[str, Any],
+    ) -> None:  # fmt: skip
+        visit, k = divmod(sample, VISIT_SAMPLES)
+        passes.decide((self.positions[VISIT_SAMPLES * numbers[visit] + k],), (self._found,), layer, front)
+        self._launch(
+            "take_layer", self._count, **self._list, **found, sample=sample, visible_prims=self._found,
+            band_nearness=passes.tiles.nearness,
+        )  # fmt: skip
+
+    def _launch(self, kernel: str, items: int, **arguments: Any) -> None:
+        self._program.launch(kernel, -(-items // WORK_GROUP) * WORK_GROUP, WORK_GROUP, **arguments)
+        self.launches += 1
