@@ -20,6 +20,7 @@ from PIL import Image
 from clrast.options import RenderOptions
 from clrast.scene.model import Light, Material, Scene
 from clrast.study import accuracy_cache as cache
+from clrast.study.accuracy import kernels_known
 from clrast.study.accuracy_answers import OF_COMMAND, OF_FRAME, RUNS, Advisor, Run
 from clrast.study.accuracy_errors import measure_errors
 from clrast.study.accuracy_front import (
@@ -30,7 +31,7 @@ from clrast.study.accuracy_front import (
     pareto_front,
     unclear_names,
 )
-from clrast.study.accuracy_knobs import KNOB_NAMES, KNOBS, Knob, apply, make_settings
+from clrast.study.accuracy_knobs import KNOB_NAMES, KNOBS, Knob, Setting, apply, make_settings
 from clrast.study.accuracy_page import MOST_BYTES, Pictures, page, worst_window
 from clrast.study.accuracy_plot import draw, make_figure
 from clrast.study.accuracy_runs import FEWEST_ROUNDS, MOST_ROUNDS, measure_rounds
@@ -182,12 +183,27 @@ def test_an_error_of_zero_and_an_infinite_one() -> None:
 # Knobs
 
 
+def test_first_frames_wait_for_kernels_that_no_setting_before_has() -> None:
+    """Of msaa those of 16 and 32 samples have kernels of lists; what lists pixels has its own each time."""
+    modes = [
+        ("none", "pixel"), ("msaa:2", "pixel"), ("msaa:8", "pixel"), ("msaa:16", "pixel"), ("msaa:32", "pixel"),
+        ("csaa:4+12", "pixel"), ("csaa:8+8", "pixel"), ("ssaa:2", "pixel"), ("ssaa:16", "pixel"), ("auto:0.1", "pixel"),
+        ("auto:0.01", "pixel"), ("msaa:4", "auto"), ("msaa:16", "auto"),
+    ]  # fmt: skip
+    chosen = [
+        Setting(f"{aa} {rate}", "antialiasing", {}, replace(BASE, aa=aa, shading_rate=rate)) for aa, rate in modes
+    ]
+    assert kernels_known(chosen) == ["msaa:8 pixel", "msaa:32 pixel", "csaa:8+8 pixel", "ssaa:16 pixel"]
+
+
 def test_each_knob_is_turned_alone_and_reasons_are_kept() -> None:
     settings = make_settings(BASE)
     assert settings.chosen[0].options == BASE and settings.chosen[0].changes == {}
     alone = [each for each in settings.chosen[1:] if each.knob != "combination"]
-    # A grid's resolution needs a method with a grid.
-    assert all(len(each.changes) == (2 if each.knob == "grid" else 1) for each in alone)
+    # A grid's resolution needs a method with a grid, and a rate samples to share.
+    pairs = {"method", "grid_resolution"}, {"aa", "shading_rate"}
+    assert all(len(each.changes) == 1 or set(each.changes) in pairs for each in alone)
+    assert {each.options.aa for each in alone if "shading_rate" in each.changes} == {"msaa:4", "msaa:16"}
     for one in settings.chosen:
         assert one.options == apply(BASE, one.changes)
         assert all(getattr(BASE, option) != value for option, value in one.changes.items())

@@ -17,10 +17,12 @@ import numpy as np
 
 from clrast.errors import DeviceError, UsageError
 from clrast.image.header import resolved_header
+from clrast.opencl.constants import VISIT_SAMPLES
 from clrast.opencl.device import Device, open_device
 from clrast.options import RenderOptions, check_single_view
 from clrast.scene.camera import CameraVectors, camera_vectors
 from clrast.scene.model import Camera, Scene
+from clrast.shading.antialias import antialiasing_of
 from clrast.shading.effects import plan_effects
 from clrast.study import accuracy_cache as cache
 from clrast.study.accuracy_errors import DEFAULT_METRIC, METRICS, Errors, has_flip, measure_errors
@@ -38,7 +40,6 @@ from clrast.study.accuracy_knobs import (
 )
 from clrast.study.accuracy_runs import LONG_PART, JobPool, Show, choose_method, measure_rounds
 from clrast.visibility.methods import AUTO
-from clrast.visibility.sample_patterns import parse_antialiasing
 
 DEFAULT_BUDGET = 60.0
 """Seconds of measured frames."""
@@ -211,7 +212,7 @@ def study_accuracy(
     )
     pool = JobPool(device, scene, vectors, {each.name: each.options for each in chosen})
     warm, errors = _warm_up(pool, chosen, reference, left_out, keep, show)
-    long = [name for name in _ran_before(chosen) if warm.get(name, 0.0) > 1000 * budget_s / LONG_PART]
+    long = [name for name in kernels_known(chosen) if warm.get(name, 0.0) > 1000 * budget_s / LONG_PART]
     chosen = [each for each in chosen if each.name in warm]
     wrong = _count_wrong(pool, chosen, options, method, show)
 
@@ -238,8 +239,8 @@ def _with_color(groups: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _by_method(options: RenderOptions, method: str) -> RenderOptions:
-    """The options with the method of all settings; `fixed` and `--aa auto`, which have their own, keep `auto`."""
-    has_own = options.precision == "fixed" or parse_antialiasing("--aa", options.aa).kind == "auto"
+    """The options with the method of all settings; `fixed` and what lists pixels, which have their own, keep `auto`."""
+    has_own = options.precision == "fixed" or antialiasing_of(options).threshold > 0
     is_free = options.method == AUTO and not has_own
     return replace(options, method=method) if is_free else options
 
@@ -291,23 +292,28 @@ def _warm_up(
     return warm, errors
 
 
-def _ran_before(chosen: list[Setting]) -> list[str]:
-    """Settings whose kernels an earlier one has: nothing is compiled in their first frame.
-
-    `auto` is none of them: PoCL compiles its kernels once more for the lengths of its lists, which EPS decides.
-    """
+def kernels_known(chosen: list[Setting]) -> list[str]:
+    """Settings whose kernels an earlier one has: nothing is compiled in their first frame."""
     known: list[RenderOptions] = []
     names = []
     for setting in chosen:
-        kind = parse_antialiasing("--aa", setting.options.aa).kind
-        kernels = replace(setting.options, aa=_KERNELS_OF.get(kind, setting.options.aa))
+        kernels = replace(setting.options, aa=_kernels_of(setting.options))
         if kernels in known:
             names.append(setting.name)
         known.append(kernels)
     return names
 
 
-_KERNELS_OF = {"none": "none", "ssaa": "ssaa:2", "msaa": "msaa:2", "csaa": "csaa:1+1"}
+def _kernels_of(options: RenderOptions) -> str:
+    """A mode with the same kernels.
+
+    What has a threshold has its own: PoCL compiles kernels once more for the lengths of lists, which that decides.
+    """
+    wanted = antialiasing_of(options)
+    if wanted.threshold or wanted.kind == "none":
+        return options.aa
+    count = VISIT_SAMPLES if wanted.depth_count % VISIT_SAMPLES == 0 and wanted.kind != "ssaa" else 2
+    return f"csaa:{count}+1" if wanted.kind == "csaa" else f"{wanted.kind}:{count}"
 
 
 VISIBILITY = ("precision", "evaluation", "method", "grid_resolution")

@@ -59,9 +59,12 @@ KNOBS = (
     Knob("evaluation", _values("evaluation", "direct", "incremental"), {"evaluation": "direct"}),
     Knob(
         "antialiasing",
-        _values(
-            "aa", "none", "msaa:2", "msaa:4", "msaa:8", "msaa:16", "msaa:32", "csaa:4+4", "csaa:4+12", "csaa:8+8",
-            "ssaa:2", "ssaa:4", "ssaa:8", "ssaa:16", "ssaa:64", "ssaa:256", "auto:0.1", "auto:0.01", "auto:0.001",
+        (
+            *_values(
+                "aa", "none", "msaa:2", "msaa:4", "msaa:8", "msaa:16", "msaa:32", "csaa:4+4", "csaa:4+12", "csaa:8+8",
+                "ssaa:2", "ssaa:4", "ssaa:8", "ssaa:16", "ssaa:64", "ssaa:256", "auto:0.1", "auto:0.01", "auto:0.001",
+            ),
+            *({"aa": aa, "shading_rate": "auto"} for aa in ("msaa:4", "msaa:16")),
         ),
         {"aa": f"ssaa:{REFERENCE_SAMPLES}"},
     ),
