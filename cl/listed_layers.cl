@@ -1,8 +1,8 @@
 // What lies behind samples of listed pixels: passes over the whole band (rasterize_tiles.cl and the like) that meet nothing
 // beside the list, sample by sample and layer by layer.
 //
-// A pass finds what lies behind a front. Pixels whose front is nothing meet nothing, and tiles of such pixels alone are not
-// walked; a front as near as can be lets everything through.
+// A pass finds what lies behind a front. Pixels whose front is nothing meet nothing, and rasterize_tiles.cl does not walk
+// tiles of such pixels alone; a front as near as can be lets everything through.
 //   close_fronts: nothing is sought, anywhere
 //   open_fronts: anything is sought at the listed pixels
 //   put_fronts: at those of them whose sample is shaded, and lets light through, what lies behind it

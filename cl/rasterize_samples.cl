@@ -150,8 +150,8 @@ INLINE void add_costs(View view, int left, int top, const Square *square, const 
 }
 #endif
 
-// Reads: references, tile_begin (bin_triangles.cl), corners (prepare_triangles), places (list_edge_pixels, keep_pixels).
-// Writes: sample_prims (for meet_strata). Work item: one tile. Local memory: 0 bytes.
+// Reads: references, tile_begin (bin_triangles.cl), corners (prepare_triangles), places (list_edge_pixels, keep_strata).
+// Writes: sample_prims (for meet_strata, flag_surfaces, group_samples). Work item: one tile. Local memory: 0 bytes.
 kernel void rasterize_samples(
     View view,
     uint tile_count,

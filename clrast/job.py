@@ -166,9 +166,9 @@ class RenderJob:
             per_pixel += STATE_BYTES
         if self.features.counters:
             per_pixel += 4 * COST_PLANES
-        if self.integrator is not None:
-            per_pixel += self.integrator.bytes_per_pixel(self.features.derivatives)
-        resolving, piece = resolver_bytes(self.options, self.features, self.plan["alpha blend"])
+        of_rays = 0 if self.integrator is None else self.integrator.bytes_per_pixel(self.features.derivatives)
+        per_pixel += of_rays
+        resolving, piece = resolver_bytes(self.options, self.features, self.plan["alpha blend"], of_rays)
         streams = 0 if self.integrator is None else self.integrator.largest_piece(self.features.derivatives)
         fixed, of_square = 0, 0
         if self.grid is not None:

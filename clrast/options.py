@@ -259,8 +259,10 @@ class RenderOptions:
 
     def check_together(self) -> None:
         """Raises UsageError where options do not go together; a render does it before anything else."""
-        if self.resume is not None and self.aa.startswith("auto"):
-            raise UsageError("--resume: with --aa auto the samples depend on what was found before: use --aa ssaa:N")
+        lists_pixels = self.shading_rate.startswith("auto") and self.aa.startswith(("msaa", "csaa"))
+        if self.resume is not None and (lists_pixels or self.aa.startswith("auto")):
+            name = "--shading-rate auto" if lists_pixels else "--aa auto"
+            raise UsageError(f"--resume: with {name} the samples depend on what was found before: use --aa ssaa:N")
         if self.resume is not None and self.repeat > 1:
             raise UsageError("--resume goes on with one render: leave out --repeat")
         if self.method != AUTO:
@@ -277,7 +279,6 @@ class RenderOptions:
         self._check_accelerator()
         if self.filter != "box" and self.aa.startswith("auto"):
             raise UsageError(f"--filter {self.filter} needs as many samples in each pixel: use --aa ssaa:N or msaa:N")
-        lists_pixels = self.shading_rate.startswith("auto") and self.aa.startswith(("msaa", "csaa"))
         parts_pixels = self.shading_rate == "sample" and self.aa.startswith("csaa")
         if self.filter != "box" and (lists_pixels or parts_pixels):
             rate = f"--shading-rate {self.shading_rate}"

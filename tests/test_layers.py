@@ -186,6 +186,19 @@ def test_an_opaque_surface_with_a_smaller_id_hides_what_coincides(device: Device
     np.testing.assert_array_equal(rgba(frame), np.broadcast_to(np.float32(composited([wall])), (8, 8, 4)))
 
 
+@pytest.mark.parametrize("precision", ["midpoint", "exact"])
+def test_what_lies_behind_panes_whose_edge_passes_through_samples(device: Device, precision: str) -> None:
+    """Nothing else in the tile lets light through, and float32 cannot tell how near the pane is there."""
+    pane, wall = [(4.5, -2, -1), (5.2, -2, -1), (4.5, -12, -1)], [(-50, 50, -3), (-50, -150, -3), (150, 50, -3)]
+    materials = (blend("pane", (1.0, 0.0, 0.0), 0.5), Material("wall", (0.0, 1.0, 0.0, 1.0), unlit=True))
+    scene = make_scene([*pane, *wall], materials=materials, material_ids=np.array([0, 1], np.uint32))
+    frame = render(device, scene, orthographic(16, 16), aov=("color", "id"), precision=precision, method="3dr-binning")
+    shown = np.asarray(frame["id.prim"]) == 0
+    assert shown[3:6, 4].all() and not shown[:, :4].any() and not shown[:, 6:].any()
+    expected = np.where(shown[..., None], np.float32([0.5, 0.5, 0.0, 1.0]), np.float32([0.0, 1.0, 0.0, 1.0]))
+    np.testing.assert_array_equal(rgba(frame), expected)
+
+
 def test_forty_layers(device: Device) -> None:
     rng = np.random.default_rng(3)
     materials = [blend(str(k), tuple(rng.uniform(size=3)), float(rng.uniform(0.01, 0.2))) for k in range(40)]

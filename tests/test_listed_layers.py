@@ -76,6 +76,16 @@ def test_methods_and_rungs_list_the_same_layers(change: dict[str, object]) -> No
         np.testing.assert_array_equal(found[name], expected[name], err_msg=f"{change} {name}")
 
 
+def test_passes_behind_layers_are_no_samples() -> None:
+    """Samples: the centres, those of the first visit everywhere, and the list's once more, layer 0 alone."""
+    device, scene, view = first_device(), panes(), orthographic(SIDE, SIDE)
+    given = {"aov": ("color",), "aa": "msaa:4", "shading_rate": FEW, "method": "3dr-binning"}
+    frame = render(device, scene, view, **given)
+    listed = frame.stats["other_counts"]["edge_pixels"]
+    assert frame.stats["counts"]["samples"] == (1 + 4) * SIDE * SIDE + 4 * listed
+    assert frame.stats["counts"]["passes"] > 1 + 4 + 4
+
+
 def test_tiles_do_not_show_in_listed_layers(device: Device) -> None:
     scene, view = panes(), orthographic(SIDE, SIDE)
     with settings(tile_log2=3):

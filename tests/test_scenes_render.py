@@ -300,7 +300,7 @@ def test_interrupted_process_leaves_what_was_there(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "clrast", "render", str(ROOT / "data" / "room.toml"), "-q", "--repeat", "1000000"]
     words += ["--size", "64x48", "-o", str(image), "-o", str(tmp_path / "b.png"), "--stats", str(tmp_path / "a.json")]
     process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    time.sleep(2)
+    time.sleep(4)  # where other tests run besides it takes more than 2 to start
     assert process.poll() is None, process.communicate()
     process.send_signal(signal.SIGINT)
     assert process.communicate(timeout=300) == ("", "clrast: error: interrupted\n")

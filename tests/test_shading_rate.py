@@ -206,6 +206,16 @@ def test_rounds_of_rate_auto_shade_each_of_s_samples_once(mode: str) -> None:
     assert rounds.threshold_of(len(rounds.samples) - 1) == np.inf and rounds.edge_error(0) == 0.0
 
 
+@pytest.mark.parametrize(("mode", "count"), [("msaa:2", 2), ("csaa:4+8", 12), ("msaa:32", 32 + 16)])
+def test_samples_that_do_not_count_take_no_pass(mode: str, count: int) -> None:
+    """Where each sample takes one: those of the pattern, and a second visit's once more for the list."""
+    device = open_device(runtimes().working[next(iter(runtimes().working))])
+    given = {"aov": ("color",), "method": "3dr-full", "aa": mode, "shading_rate": FEW}
+    counts = render(device, some_triangles(), orthographic(SIDE, SIDE), **given).stats["counts"]
+    assert counts["passes"] == 1 + count
+    assert counts["samples"] == counts["passes"] * SIDE * SIDE
+
+
 def test_lanes_beyond_a_pattern_decide_nothing() -> None:
     """A triangle that none of 2 samples shows, but samples of the same visit do, is not seen."""
     device = open_device(runtimes().working[next(iter(runtimes().working))])

@@ -88,6 +88,9 @@ def test_what_traces_no_paths_has_no_sums(card: Path, tmp_path: Path) -> None:
         render(load(card), size=(8, 8), resume=str(tmp_path / "sums.npz"))
     with pytest.raises(UsageError, match="auto"):
         render(load(card), aa="auto:0.1", resume=str(tmp_path / "sums.npz"), **PATHS)
+    for aa in ("msaa:4", "csaa:4+4"):
+        with pytest.raises(UsageError, match="--shading-rate auto the samples depend"):
+            render(load(card), aa=aa, shading_rate="auto:0.1", resume=str(tmp_path / "sums.npz"), **PATHS)
     assert main(["render", str(card), "--mode", "path", "-o", str(tmp_path / "x.exr"), "--time-budget", "0"]) == 64
 
 

@@ -15,7 +15,7 @@ from clrast.shading.filters import reach_of
 from clrast.shading.multisample import Multisampler
 from clrast.shading.rounds import rounds_of
 from clrast.shading.shade import Shader
-from clrast.shading.strata import SUMS_BYTES, StratifiedSampler
+from clrast.shading.strata import StratifiedSampler
 from clrast.shading.supersample import Layers, Supersampler
 from clrast.visibility.sample_patterns import Antialiasing, Pattern, parse_antialiasing, parse_shading_rate
 
@@ -61,14 +61,17 @@ def uses_centers(options: RenderOptions, blends: bool) -> bool:
     return blends or not shades_all
 
 
-def resolver_bytes(options: RenderOptions, features: Features, blends: bool) -> tuple[int, int]:
-    """Device bytes a pixel of a band takes for antialiasing, and those of them in the largest buffer."""
+def resolver_bytes(options: RenderOptions, features: Features, blends: bool, of_rays: int) -> tuple[int, int]:
+    """Device bytes a pixel of a band takes for antialiasing, and those of them in the largest buffer.
+
+    of_rays : what rays from a shaded sample take.
+    """
     wanted = antialiasing_of(options)
     if wanted.kind == "none":
         return 0, 0
     if wanted.threshold:
-        layered = features if blends else None
-        return StratifiedSampler.bytes_per_pixel(rounds_of(wanted), options.memory is not None, layered), SUMS_BYTES
+        layered, at_worst = features if blends else None, options.memory is not None
+        return StratifiedSampler.bytes_per_pixel(rounds_of(wanted), at_worst, layered, of_rays)
     if not shares_shading(wanted, options, blends):
         return Supersampler.bytes_per_pixel(), 20
     at_worst = options.memory is not None or options.shading_rate != "pixel"

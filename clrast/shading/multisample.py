@@ -71,7 +71,7 @@ class Multisampler:
         self.reach = reach_of(filter_name)
         self.edges = EdgePixels(device, features, wanted.depth_count, max_pixels)
         decided = wanted.pattern.positions[: wanted.depth_count]
-        self.lists_samples = not parts and len(decided) % VISIT_SAMPLES == 0
+        self.lists_samples = wanted.lists_samples and not parts
         self._samples = ListedSamples(device, features, decided) if self.lists_samples else None
         self._strides = 1, self.edges.stride
         self._sharing = kernels.build(device, "share_shading.cl", features)

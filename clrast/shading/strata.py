@@ -75,23 +75,29 @@ class StratifiedSampler:
         return self.own_launches + self.edges.launches + self._samples.launches + layers
 
     @staticmethod
-    def bytes_per_pixel(rounds: Rounds, at_worst: bool, features: Features | None) -> int:
-        """Device bytes a pixel of a band takes here where all are listed; at_worst : and all that may be is shaded.
-        features : where surfaces blend."""
+    def bytes_per_pixel(rounds: Rounds, at_worst: bool, features: Features | None, of_rays: int) -> tuple[int, int]:
+        """Device bytes a pixel of a band takes here where all are listed, and those of them in the largest buffer.
+
+        at_worst : and where all that may be is shaded. features : where surfaces blend. of_rays : what rays from a
+        shaded sample take.
+        """
         shaded = rounds.worst_shaded if at_worst else TYPICAL_SHADED
         visits = rounds.worst_visits if at_worst else 1
         of_listed = 5 * 4 + STATE_BYTES + 8 * (1 + visits) + 1 + 4 + 1 + 4 * VISIT_SAMPLES * visits
+        largest = max(SUMS_BYTES, 4 * VISIT_SAMPLES * visits, 16 * shaded)
         if features is not None:
-            of_listed += ListedLayers.bytes_per_pixel(features) + 4 * VISIT_SAMPLES
-            of_listed += nearness_bytes(features) * VISIT_SAMPLES * (1 + visits)
-        return BYTES_PER_PIXEL + 5 + 4 * VISIT_SAMPLES + of_listed + shaded * (12 + Shader.bytes_per_pixel(("color",)))
+            of_nearness = nearness_bytes(features) * VISIT_SAMPLES * (1 + visits)
+            of_listed += ListedLayers.bytes_per_pixel(features) + 4 * VISIT_SAMPLES + of_nearness
+            largest = max(largest, of_nearness)
+        of_shaded = 12 + Shader.bytes_per_pixel(("color",)) + (of_rays if at_worst else 0)
+        return BYTES_PER_PIXEL + 5 + 4 * VISIT_SAMPLES + of_listed + shaded * of_shaded, largest
 
     def resolve_band(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, target: Shader) -> None:
         """Replace the colour of a band in `target`, shaded at the centres, where samples are called for. Waits."""
         self.edges.start(passes, row, rows, pixel_count, self.rounds.positions)
         for visit in reversed(self.rounds.visits(0)):  # the first one's samples stay
             found = self.edges.center, self._differs, self._first_prims
-            self._samples.decide_all(passes, (visit.number,), pixel_count, *found)
+            self._samples.decide_all(passes, (visit.number,), pixel_count, *found, (visit.lanes,))
             self._flag_surfaces(passes.tiles.view, visit, pixel_count)
         count = passes.timed("resolve", partial(self._list_first, passes.tiles.view, pixel_count, target))
         self._count("edge_pixels", count)
@@ -156,8 +162,10 @@ class StratifiedSampler:
             rows.append((entry, looked_at, visit.shaded, int(visit.is_new)))
             positions += self.rounds.positions[VISIT_SAMPLES * visit.number : VISIT_SAMPLES * (visit.number + 1)]
         packed = np.array([x | y << 16 for x, y in positions], dtype=np.uint32)
+        later_lanes = [bits for visit, bits in zip(part, lanes, strict=True) if visit.number in later]
         return {
-            "later": later, "lanes": lanes, "visit_count": len(part), "stride": VISIT_SAMPLES * len(later),
+            "later": later, "later_lanes": later_lanes, "visit_count": len(part),
+            "stride": VISIT_SAMPLES * len(later),
             "visits": buffers.upload(self.device, np.array(rows, dtype=np.uint32)),
             "sample_positions": buffers.upload(self.device, packed),
         }  # fmt: skip
@@ -170,10 +178,10 @@ class StratifiedSampler:
         later = self.edges.room("later_prims", 4 * part["stride"] * count)
         if self._layers is None:
             lists = self.edges.places, self._band["pixels"]
-            self._samples.decide(passes, part["later"], count, self.edges.center, later, *lists)
+            self._samples.decide(passes, part["later"], count, self.edges.center, later, *lists, part["later_lanes"])
         else:
             self._layers.start(pixel_count, self._band["pixels"], count)
-            samples = [VISIT_SAMPLES * v + k for v, lanes in enumerate(part["lanes"]) for k in bits_of(lanes)]
+            samples = [VISIT_SAMPLES * v + k for v, lanes in enumerate(part["later_lanes"]) for k in bits_of(lanes)]
             self._layers.decide(passes, part["later"], samples, self._entries(part))
         listed = passes.timed("resolve", partial(self._choose, view, part, begins))
         if not listed:

@@ -240,7 +240,7 @@ def _with_color(groups: tuple[str, ...]) -> tuple[str, ...]:
 
 def _by_method(options: RenderOptions, method: str) -> RenderOptions:
     """The options with the method of all settings; `fixed` and what lists pixels, which have their own, keep `auto`."""
-    has_own = options.precision == "fixed" or antialiasing_of(options).threshold > 0
+    has_own = options.precision == "fixed" or antialiasing_of(options).lists_samples
     is_free = options.method == AUTO and not has_own
     return replace(options, method=method) if is_free else options
 
@@ -312,7 +312,7 @@ def _kernels_of(options: RenderOptions) -> str:
     wanted = antialiasing_of(options)
     if wanted.threshold or wanted.kind == "none":
         return options.aa
-    count = VISIT_SAMPLES if wanted.depth_count % VISIT_SAMPLES == 0 and wanted.kind != "ssaa" else 2
+    count = VISIT_SAMPLES if wanted.lists_samples else 2
     return f"csaa:{count}+1" if wanted.kind == "csaa" else f"{wanted.kind}:{count}"
 
 

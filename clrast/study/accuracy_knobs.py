@@ -179,6 +179,8 @@ def sample_count(options: RenderOptions) -> int:
     """Samples of a pixel that are shaded each by itself; in mode `path` the paths of all of them."""
     wanted = parse_antialiasing("--aa", options.aa)
     samples = len(wanted.pattern) if wanted.kind in ("ssaa", "auto") else 1
+    if options.shading_rate.startswith("auto") and wanted.kind in ("msaa", "csaa"):
+        samples = wanted.depth_count
     return samples * options.path_count if options.mode == PATH else samples
 
 

@@ -83,7 +83,7 @@ def reason_without_choice(precision: str, *, lists_samples: bool, is_limited: bo
     if precision == "fixed":
         return f"{SNAPPED_DEFAULT}: --precision fixed is for projected vertices"
     if lists_samples:
-        return f"{DEFAULT}: it alone decides samples of --aa auto together, without a pass for each"
+        return f"{DEFAULT}: it alone decides many samples of pixels together, without a pass for each"
     if is_limited:
         return f"{DEFAULT}: nothing else is tried on this device, in bands or under a memory budget"
     return None

@@ -65,6 +65,7 @@ class ListedLayers:
             front = self._front_nearness, self._front_prims
         for sample in samples:
             self._pass(passes, numbers, sample, int(front is not None), front, found)
+            passes.listed += 0 if front is None else self._count
 
     def decide_behind(
         self, passes: SamplePasses, numbers: Sequence[int], samples: Iterable[int], layer: int, found: dict[str, Any],

@@ -34,18 +34,20 @@ class ListedSamples:
 
     def decide_all(
         self, passes: SamplePasses, visits: Sequence[int], pixel_count: int, center: cl.Buffer, differs: cl.Buffer,
-        prims: cl.Buffer,
+        prims: cl.Buffer, lanes: Sequence[int] | None = None,
     ) -> None:  # fmt: skip
         """Find what the samples of some visits, as few as one launch takes, show in all pixels of the band. Waits.
+
+        lanes : of each visit a bit for each sample that counts; others are not decided where each takes a pass.
 
         center : [pixel_count] what centres show. differs : [pixel_count] uchar, 1 where a sample shows another
         triangle. prims : [pixel_count * samples] prim_id or NO_HIT, those of a pixel together, where it is 1.
         """
-        self._decide(passes, visits, pixel_count, (center, differs, prims), None, None)
+        self._decide(passes, visits, lanes, pixel_count, (center, differs, prims), None, None)
 
     def decide(
         self, passes: SamplePasses, visits: Sequence[int], count: int, center: cl.Buffer, prims: cl.Buffer,
-        places: cl.Buffer, pixels: cl.Buffer,
+        places: cl.Buffer, pixels: cl.Buffer, lanes: Sequence[int] | None = None,
     ) -> None:  # fmt: skip
         """Find what the samples of some visits show: of visit v those from VISIT_SAMPLES * v on. Waits.
 
@@ -54,11 +56,11 @@ class ListedSamples:
         as the visits come.
         """
         if visits:
-            self._decide(passes, visits, count, (center, center, prims), places, pixels)
+            self._decide(passes, visits, lanes, count, (center, center, prims), places, pixels)
 
     def _decide(
-        self, passes: SamplePasses, visits: Sequence[int], count: int, found: tuple[cl.Buffer, cl.Buffer, cl.Buffer],
-        places: cl.Buffer | None, pixels: cl.Buffer | None,
+        self, passes: SamplePasses, visits: Sequence[int], lanes: Sequence[int] | None, count: int,
+        found: tuple[cl.Buffer, cl.Buffer, cl.Buffer], places: cl.Buffer | None, pixels: cl.Buffer | None,
     ) -> None:  # fmt: skip
         wanted = [self.positions[VISIT_SAMPLES * visit + k] for visit in visits for k in range(VISIT_SAMPLES)]
         if isinstance(passes.tiles, TileRasterizer) and passes.tiles.takes_samples:
@@ -68,6 +70,8 @@ class ListedSamples:
             return
         center, differs, prims = found
         for k, position in enumerate(wanted):
+            if lanes is not None and not lanes[k // VISIT_SAMPLES] >> k % VISIT_SAMPLES & 1:
+                continue
             passes.decide((position,))
             self._program.launch(
                 "take_samples", -(-count // LIST_CHUNK), 1, count=count, everywhere=int(pixels is None), sample=k,

@@ -21,8 +21,8 @@ Timed = Callable[[str, Callable[[], Any]], Any]
 class SamplePasses:
     """Passes over bands. timed : runs work and books its time on a stage.
 
-    Since `start_frame`, `count` : passes; `visits` and `listed` : passes over listed pixels alone, and the samples that
-    these decided.
+    Since `start_frame`, `count` : passes; `visits` and `listed` : passes over listed pixels alone, or behind a layer,
+    and the samples that these decided first.
     """
 
     def __init__(self, tiles: TileRasterizer | FrustumTraversal, timed: Timed) -> None:
@@ -66,7 +66,10 @@ class SamplePasses:
         `rasterize` takes them.
         """
         self.timed("visibility", partial(self._decide, positions, planes, layer, front))
-        self.count += len(positions)
+        if front is None:
+            self.count += len(positions)
+        else:
+            self.visits += len(positions)
 
     def _decide(
         self, positions: Sequence[Position], planes: Sequence[cl.Buffer] | None, layer: int,

@@ -25,6 +25,7 @@ from typing import Any
 
 from clrast.errors import UsageError
 from clrast.opencl.constants import MAX_SHARED_SAMPLES as MAX_SHARED
+from clrast.opencl.constants import VISIT_SAMPLES
 
 UNITS = 256
 """Positions a pixel's side has."""
@@ -81,6 +82,14 @@ class Antialiasing:
     pattern: Pattern
     depth_count: int
     threshold: float = 0.0
+
+    @property
+    def lists_samples(self) -> bool:
+        """Whether many samples of a pixel are decided at once where a method can (listed_samples.py), unless each of
+        them is shaded."""
+        if self.kind in ("none", "ssaa"):
+            return False
+        return self.threshold > 0 or self.depth_count % VISIT_SAMPLES == 0
 
     @property
     def name(self) -> str:
