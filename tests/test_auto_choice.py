@@ -79,11 +79,14 @@ def test_visibility_counts_for_each_sample(
     assert job.reason == f"measured: {DEFAULT} {1 + 10 * passes:.1f} ms, {CANDIDATE} {1 + 8 * passes:.1f} ms"
 
 
-def test_adaptive_samples_have_one_method(free_device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only tiles decide the samples of `--aa auto` together: no other method is tried, however fast one frame is."""
+@pytest.mark.parametrize(("aa", "rate"), [("auto:0.1", "pixel"), ("msaa:16", "pixel"), ("csaa:4+4", "auto")])
+def test_samples_that_are_listed_have_one_method(
+    free_device: Device, monkeypatch: pytest.MonkeyPatch, aa: str, rate: str
+) -> None:
+    """Only tiles decide many samples of pixels together: no other method is tried, however fast one frame is."""
     times = GivenTimes({DEFAULT: [10] * 5, CANDIDATE: [1] * 4})
-    job = choose(free_device, monkeypatch, times, aa="auto:0.1")
-    assert job.method.name == DEFAULT and "--aa auto" in str(job.reason)
+    job = choose(free_device, monkeypatch, times, aa=aa, shading_rate=rate)
+    assert job.method.name == DEFAULT and "many samples of pixels together" in str(job.reason)
     assert times.counts == {DEFAULT: 0, CANDIDATE: 0}
 
 
