@@ -49,9 +49,9 @@ def test_shaded_samples_show_what_lies_behind_them(device: Device, mode: str, ra
 
 
 @pytest.mark.parametrize("error", [0.1, 0.01, 0.003])
-def test_auto_is_nearer_than_as_many_samples_of_every_pixel(device: Device, error: float) -> None:
+def test_auto_is_nearer_than_as_many_samples_of_every_pixel(error: float) -> None:
     """Panes everywhere, many to a pixel: root mean squares against 1024 shaded samples of every pixel."""
-    scene, view = panes(), orthographic(SIDE, SIDE)
+    device, scene, view = first_device(), panes(), orthographic(SIDE, SIDE)
     reference = colors_of(render(device, scene, view, aov=("color",), aa="ssaa:1024"))
     frame = render(device, scene, view, aov=("color",), aa=f"auto:{error}")
     shaded = frame.stats["other_counts"]["samples_shaded"]

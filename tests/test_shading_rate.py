@@ -41,8 +41,21 @@ def counts_of(mode: str) -> tuple[int, int]:
     return wanted.depth_count, len(wanted.pattern)
 
 
+SHOWN: dict[tuple[str, bytes, int, int], tuple[np.ndarray, np.ndarray]] = {}
+
+
 def shown(device: Device, scene: clrast.Scene, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
-    """(SIDE, SIDE) prim_ids and (SIDE, SIDE, 4) colours by a camera moved so that centres are at (x, y) of pixels."""
+    """(SIDE, SIDE) prim_ids and (SIDE, SIDE, 4) colours by a camera moved so that centres are at (x, y) of pixels.
+
+    Patterns begin alike: each place is rendered once for all.
+    """
+    key = device.runtime, np.asarray(scene.colors).tobytes(), x, y
+    if key not in SHOWN:
+        SHOWN[key] = render_at(device, scene, x, y)
+    return SHOWN[key]
+
+
+def render_at(device: Device, scene: clrast.Scene, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
     view = orthographic(SIDE, SIDE, e0=((x - UNITS / 2) / UNITS, -(y - UNITS / 2) / UNITS, 0))
     frame = render(device, scene, view, aov=("color", "id"))
     return np.asarray(frame["id.prim"]), np.stack([frame[name] for name in "RGBA"], axis=-1).astype(np.float64)
