@@ -6,6 +6,7 @@
 
 #include "vector.clh"
 #include "edge_function.clh"
+#include "fronts.clh"
 
 // Reads: open_pixels (shade_hits). Writes: front_nearness, front_prims (for rasterize_tiles with a layer in front): the
 // nearness of nothing where the layer is opaque, so that no sample lies behind it.
@@ -18,10 +19,5 @@ kernel void close_pixels(
 {
   const uint pixel = get_global_id(0);
   if (pixel >= pixel_count) return;
-  if (open_pixels[pixel]) return;
-  front_nearness[pixel] = NEARNESS_OF_NOTHING;
-#if FILTERED
-  front_nearness[(size_t)pixel_count + pixel] = NEARNESS_OF_NOTHING;
-#endif
-  front_prims[pixel] = NO_HIT;
+  if (!open_pixels[pixel]) close_front(pixel, pixel_count, front_nearness, front_prims);
 }

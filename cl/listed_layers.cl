@@ -11,14 +11,7 @@
 
 #include "vector.clh"
 #include "edge_function.clh"
-
-static inline void close_front(size_t pixel, size_t pixel_count, global float *nearness, global uint *prims) {
-  nearness[pixel] = NEARNESS_OF_NOTHING;
-#if FILTERED
-  nearness[pixel_count + pixel] = NEARNESS_OF_NOTHING;
-#endif
-  prims[pixel] = NO_HIT;
-}
+#include "fronts.clh"
 
 // Reads: nothing. Writes: front_nearness, front_prims (for rasterize_tiles with a layer in front). Work item: one pixel.
 // Local memory: 0 bytes.

@@ -68,9 +68,8 @@ static inline uint samples_of(uint16 samples, uint prim_id) {
 
 static inline uint first_bit(uint mask) { return 31 - clz(mask & (0 - mask)); }
 
-// Reads: center_prims, sample_prims (rasterize_samples) of a visit. Writes: edge_flags (for flag_contrast). Work item: one
-// pixel.
-// Local memory: 0 bytes.
+// Reads: center_prims, sample_prims (rasterize_samples) of a visit. Writes: edge_flags (for flag_contrast).
+// Work item: one pixel. Local memory: 0 bytes.
 kernel void flag_surfaces(
     View view,
     uint pixel_count,                             // of the band

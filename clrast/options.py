@@ -30,7 +30,7 @@ from clrast.quality import PRESETS, with_preset
 from clrast.visibility.methods import AUTO, SNAPPED_METHODS, resolve_method
 from clrast.visibility.methods import METHODS as METHOD_TABLE
 from clrast.visibility.oracles import parse_oracle
-from clrast.visibility.sample_patterns import FILTERS, parse_antialiasing, parse_shading_rate
+from clrast.visibility.sample_patterns import FILTERS, parse_antialiasing, parse_shading_rate, with_rate
 
 PRECISIONS = ("fast", "ordered", "midpoint", "double", "fixed", "exact")
 AVAILABLE_PRECISIONS = PRECISIONS
@@ -259,9 +259,9 @@ class RenderOptions:
 
     def check_together(self) -> None:
         """Raises UsageError where options do not go together; a render does it before anything else."""
-        lists_pixels = self.shading_rate.startswith("auto") and self.aa.startswith(("msaa", "csaa"))
-        if self.resume is not None and (lists_pixels or self.aa.startswith("auto")):
-            name = "--shading-rate auto" if lists_pixels else "--aa auto"
+        wanted = with_rate(parse_antialiasing("--aa", self.aa), self.shading_rate)
+        if self.resume is not None and wanted.threshold:
+            name = "--aa auto" if wanted.kind == "auto" else "--shading-rate auto"
             raise UsageError(f"--resume: with {name} the samples depend on what was found before: use --aa ssaa:N")
         if self.resume is not None and self.repeat > 1:
             raise UsageError("--resume goes on with one render: leave out --repeat")
@@ -277,10 +277,9 @@ class RenderOptions:
                 f"use --method {listed(SNAPPED_METHODS)}, or another rung"
             )
         self._check_accelerator()
-        if self.filter != "box" and self.aa.startswith("auto"):
+        if self.filter != "box" and wanted.kind == "auto":
             raise UsageError(f"--filter {self.filter} needs as many samples in each pixel: use --aa ssaa:N or msaa:N")
-        parts_pixels = self.shading_rate == "sample" and self.aa.startswith("csaa")
-        if self.filter != "box" and (lists_pixels or parts_pixels):
+        if self.filter != "box" and (wanted.threshold or (wanted.kind == "csaa" and wanted.shades_all)):
             rate = f"--shading-rate {self.shading_rate}"
             raise UsageError(f"{rate} of {self.aa} resolves pixels by themselves: use --filter box, or --aa ssaa:N")
 

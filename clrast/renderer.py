@@ -157,10 +157,9 @@ def start_job(
     if options.method != AUTO or options.casts_grid:
         return job
     antialiasing = antialiasing_of(options)
-    lists_samples = job.resolver is not None and job.resolver.lists_samples
     job.reason = reason_without_choice(
         options.precision,
-        lists_samples=lists_samples and isinstance(job.tiles, TileRasterizer) and job.tiles.takes_samples,
+        lists_samples=antialiasing.lists_samples and isinstance(job.tiles, TileRasterizer) and job.tiles.takes_samples,
         is_limited=loop_limit(device) is not None or len(job.bands) > 1 or options.memory is not None,
     )  # fmt: skip
     if job.reason is not None:

@@ -72,6 +72,15 @@ def runtimes() -> Runtimes:
     return _runtimes[0]
 
 
+def first_runtime() -> str:
+    """Where one is enough, or others are compared with it."""
+    return next(iter(runtimes().working))
+
+
+def open_first_device() -> devices.Device:
+    return devices.open_device(runtimes().working[first_runtime()])
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--long", action="store_true", help="run the tests that take long, too")
     parser.addoption("--update-golden", action="store_true", help="write golden images instead of comparing")

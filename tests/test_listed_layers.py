@@ -6,21 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import runtimes
+from conftest import open_first_device
 from kernel_world import make_scene, orthographic, render, settings
-from test_antialiasing import SIDE, U, some_triangles, unlit
-from test_shading_rate import ALL, FEW, colors_of, counts_of, expected_colors
+from test_antialiasing import SIDE, U, colors_of, some_triangles, unlit
+from test_shading_rate import ALL, FEW, check_rate
 
 import clrast
-from clrast.opencl.constants import STRATA
-from clrast.opencl.device import Device, open_device
+from clrast.opencl.device import Device
 from clrast.scene.model import Material
 
 LISTED = {"aa": "auto:0.02", "aov": ("color", "id")}
-
-
-def first_device() -> Device:
-    return open_device(runtimes().working[next(iter(runtimes().working))])
 
 
 def panes() -> clrast.Scene:
@@ -37,21 +32,16 @@ def panes() -> clrast.Scene:
 @pytest.mark.parametrize("rate", [FEW, ALL])
 @pytest.mark.parametrize("mode", ["msaa:4", "msaa:32", "csaa:4+12"])
 def test_shaded_samples_show_what_lies_behind_them(device: Device, mode: str, rate: str) -> None:
-    scene, (most, _) = panes(), counts_of(mode)
-    frame = render(device, scene, orthographic(SIDE, SIDE), aov=("color",), aa=mode, shading_rate=rate)
-    expected, edges = expected_colors(device, scene, mode, shades_all=rate == ALL)
-    np.testing.assert_allclose(colors_of(frame), expected, rtol=0, atol=32 * U)
-    listed = SIDE * SIDE if rate == ALL else np.count_nonzero(edges)
-    each = STRATA + (most if rate == ALL else max(1, most // 4))
-    assert frame.stats["other_counts"]["samples_shaded"] <= SIDE * SIDE + listed * each
+    scene = panes()
+    found = check_rate(device, scene, mode, rate, 32 * U)
     opaque = render(device, scene, orthographic(SIDE, SIDE), aov=("color",), effects={"alpha blend": "off"})
-    assert (colors_of(opaque) != colors_of(frame)).any()
+    assert (colors_of(opaque) != found).any()
 
 
 @pytest.mark.parametrize("error", [0.1, 0.01, 0.003])
 def test_auto_is_nearer_than_as_many_samples_of_every_pixel(error: float) -> None:
     """Panes everywhere, many to a pixel: root mean squares against 1024 shaded samples of every pixel."""
-    device, scene, view = first_device(), panes(), orthographic(SIDE, SIDE)
+    device, scene, view = open_first_device(), panes(), orthographic(SIDE, SIDE)
     reference = colors_of(render(device, scene, view, aov=("color",), aa="ssaa:1024"))
     frame = render(device, scene, view, aov=("color",), aa=f"auto:{error}")
     shaded = frame.stats["other_counts"]["samples_shaded"]
@@ -69,7 +59,7 @@ CHANGES = (
 @pytest.mark.parametrize("change", CHANGES, ids=str)
 def test_methods_and_rungs_list_the_same_layers(change: dict[str, object]) -> None:
     """Short numbers, where float32 is exact too: rungs that filter compare with what lies in front in their own way."""
-    device, scene, view = first_device(), panes(), orthographic(SIDE, SIDE)
+    device, scene, view = open_first_device(), panes(), orthographic(SIDE, SIDE)
     expected = render(device, scene, view, method="3dr-binning", **LISTED)
     found = render(device, scene, view, **{"method": "3dr-binning", **LISTED, **change})
     for name in ("R", "G", "B", "A", "id.prim"):
@@ -78,7 +68,7 @@ def test_methods_and_rungs_list_the_same_layers(change: dict[str, object]) -> No
 
 def test_passes_behind_layers_are_no_samples() -> None:
     """Samples: the centres, those of the first visit everywhere, and the list's once more, layer 0 alone."""
-    device, scene, view = first_device(), panes(), orthographic(SIDE, SIDE)
+    device, scene, view = open_first_device(), panes(), orthographic(SIDE, SIDE)
     given = {"aov": ("color",), "aa": "msaa:4", "shading_rate": FEW, "method": "3dr-binning"}
     frame = render(device, scene, view, **given)
     listed = frame.stats["other_counts"]["edge_pixels"]
@@ -89,7 +79,7 @@ def test_passes_behind_layers_are_no_samples() -> None:
 def test_tiles_do_not_show_in_listed_layers(device: Device) -> None:
     scene, view = panes(), orthographic(SIDE, SIDE)
     with settings(tile_log2=3):
-        expected = render(first_device(), scene, view, method="3dr-binning", **LISTED)
+        expected = render(open_first_device(), scene, view, method="3dr-binning", **LISTED)
     found = render(device, scene, view, method="3dr-binning", **LISTED)
     for name in ("R", "G", "B", "A"):
         np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
@@ -109,7 +99,7 @@ def test_tiles_without_a_front_are_not_walked() -> None:
     for state in ("off", "on"):
         with settings(tile_log2=4):
             frame = render(
-                first_device(), scene, orthographic(128, 128), aov=("color",), method="3dr-binning", counters=True,
+                open_first_device(), scene, orthographic(128, 128), aov=("color",), method="3dr-binning", counters=True,
                 effects={"alpha blend": state},
             )  # fmt: skip
         setups.append(frame.stats["counts"]["setups"])

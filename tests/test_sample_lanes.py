@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import runtimes
+from conftest import open_first_device
 from kernel_world import orthographic, render
 from small_renders import LAMPS
 from test_antialiasing import SIDE, some_triangles
@@ -13,7 +13,7 @@ import clrast
 from clrast.job import RenderJob
 from clrast.opencl import buffers
 from clrast.opencl.constants import VISIT_SAMPLES
-from clrast.opencl.device import Device, open_device
+from clrast.opencl.device import Device
 from clrast.opencl.layout import NO_HIT
 from clrast.options import RenderOptions
 from clrast.scene.camera import camera_vectors, frame_scene
@@ -95,7 +95,7 @@ def test_all_pixels_say_where_samples_differ(device: Device, lamps: clrast.Scene
 
 def test_what_is_not_listed_costs_nothing(lamps: clrast.Scene) -> None:
     """Counted: no pixel beside the list was evaluated, and a square without a listed pixel set nothing up."""
-    device = open_device(runtimes().working[next(iter(runtimes().working))])
+    device = open_first_device()
     job, count = start(device, lamps, counters=True), SIZE[0] * SIZE[1]
     assert job.tiles.takes_samples and job.work is not None
     samples = ListedSamples(device, job.features, PATTERN)
@@ -145,7 +145,7 @@ def test_rounds_look_at_each_sample_once_and_shade_a_quarter() -> None:
 )  # fmt: skip
 def test_lists_are_the_same_by_lanes_and_by_passes(mode: dict[str, object], change: dict[str, object]) -> None:
     """Methods and rungs that have no lanes for lists decide whole bands; short numbers, where float32 is exact too."""
-    device = open_device(runtimes().working[next(iter(runtimes().working))])
+    device = open_first_device()
     scene, view = some_triangles(), orthographic(SIDE, SIDE)
     given = {"aov": ("color", "id"), "method": "3dr-binning", **mode}
     expected, found = (render(device, scene, view, **each) for each in (given, {**given, **change}))

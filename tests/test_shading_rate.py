@@ -10,23 +10,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import runtimes
+from conftest import first_runtime, open_first_device
 from kernel_world import make_scene, orthographic, render
 from test_antialiasing import (
     CENTER,
     SIDE,
     U,
+    colors_of,
     directions,
     draw_corner,
     edge_triangle,
     inside,
+    moved_render,
     some_triangles,
     unlit,
 )
 
 import clrast
 from clrast.opencl.constants import STRATA
-from clrast.opencl.device import Device, open_device
+from clrast.opencl.device import Device
 from clrast.opencl.layout import NO_HIT
 from clrast.shading.rounds import rounds_of
 from clrast.visibility.sample_patterns import UNITS, Antialiasing, parse_antialiasing, scrambled
@@ -51,14 +53,14 @@ def shown(device: Device, scene: clrast.Scene, x: int, y: int) -> tuple[np.ndarr
     """
     key = device.runtime, np.asarray(scene.colors).tobytes(), x, y
     if key not in SHOWN:
-        SHOWN[key] = render_at(device, scene, x, y)
+        frame = moved_render(device, scene, x, y)
+        SHOWN[key] = np.asarray(frame["id.prim"]), colors_of(frame).astype(np.float64)
     return SHOWN[key]
 
 
-def render_at(device: Device, scene: clrast.Scene, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
-    view = orthographic(SIDE, SIDE, e0=((x - UNITS / 2) / UNITS, -(y - UNITS / 2) / UNITS, 0))
-    frame = render(device, scene, view, aov=("color", "id"))
-    return np.asarray(frame["id.prim"]), np.stack([frame[name] for name in "RGBA"], axis=-1).astype(np.float64)
+def first_shaded(most: int) -> int:
+    """Of `most` samples those that are shaded before more are called for."""
+    return max(1, most // 4)
 
 
 def strata_of(center: int, prims: np.ndarray) -> list[int]:
@@ -74,7 +76,7 @@ def shaded_samples(strata: list[int], most: int) -> list[list[int]]:
     """Of each surface those that are shaded first, beside the centre: a quarter of `most`, and the first of each."""
     found: list[list[int]] = [[] for _ in range(STRATA)]
     for k, stratum in enumerate(strata):
-        if k < max(1, most // 4) or (stratum != 0 and not found[stratum]):
+        if k < first_shaded(most) or (stratum != 0 and not found[stratum]):
             found[stratum].append(k)
     return found
 
@@ -102,7 +104,7 @@ def expected_colors(device: Device, scene: clrast.Scene, mode: str, shades_all: 
     for at in strata:
         corner = at[0] & ~1, at[1] & ~1
         if shades_all and varies[corner[0] : corner[0] + 2, corner[1] : corner[1] + 2].any():
-            for k in range(max(1, most // 4), most):
+            for k in range(first_shaded(most), most):
                 shaded[at][strata[at][k]].append(k)
         if edges[at] or shades_all:
             expected[at] = sum(known(at, k).mean(axis=0) / count for k in strata[at])
@@ -116,30 +118,28 @@ def varied_triangles() -> clrast.Scene:
     return replace(some_triangles(), colors=colors, materials=unlit(*[(1.0, 1.0, 1.0)] * 30))
 
 
-def colors_of(frame: clrast.Frame) -> np.ndarray:
-    return np.stack([frame[name] for name in "RGBA"], axis=-1)
+def check_rate(device: Device, scene: clrast.Scene, mode: str, rate: str, error: float) -> np.ndarray:
+    """Colours at rate FEW or ALL, held to the reference and to what may be shaded, of edge pixels or of all.
+
+    The first sample of a surface may count twice.
+    """
+    most, _ = counts_of(mode)
+    frame = render(device, scene, orthographic(SIDE, SIDE), aov=("color",), aa=mode, shading_rate=rate)
+    expected, edges = expected_colors(device, scene, mode, shades_all=rate == ALL)
+    np.testing.assert_allclose(colors_of(frame), expected, rtol=0, atol=error)
+    counts, edge_count = frame.stats["other_counts"], np.count_nonzero(edges)
+    if rate == FEW:
+        assert counts["edge_pixels"] == edge_count > SIDE
+    listed, each = (SIDE * SIDE, most) if rate == ALL else (edge_count, first_shaded(most))
+    assert counts["samples_shaded"] <= SIDE * SIDE + listed * (each + STRATA)
+    return colors_of(frame)
 
 
+@pytest.mark.parametrize("rate", [FEW, ALL])
 @pytest.mark.parametrize("mode", MODES)
-def test_rate_auto_shades_a_quarter_of_each_surface(device: Device, mode: str) -> None:
-    """With an error that all may have: edge pixels alone, and few samples of them."""
-    scene, (most, _) = varied_triangles(), counts_of(mode)
-    frame = render(device, scene, orthographic(SIDE, SIDE), aov=("color",), aa=mode, shading_rate=FEW)
-    expected, edges = expected_colors(device, scene, mode, shades_all=False)
-    np.testing.assert_allclose(colors_of(frame), expected, rtol=0, atol=16 * U)
-    counts = frame.stats["other_counts"]
-    assert counts["edge_pixels"] == np.count_nonzero(edges) > SIDE
-    assert counts["samples_shaded"] <= SIDE * SIDE + np.count_nonzero(edges) * (max(1, most // 4) + STRATA)
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_rate_auto_shades_all_where_surfaces_vary(device: Device, mode: str) -> None:
-    """With no error that any may have: all S, and none twice but the first of a surface."""
-    scene, (most, _) = varied_triangles(), counts_of(mode)
-    frame = render(device, scene, orthographic(SIDE, SIDE), aov=("color",), aa=mode, shading_rate=ALL)
-    expected, _ = expected_colors(device, scene, mode, shades_all=True)
-    np.testing.assert_allclose(colors_of(frame), expected, rtol=0, atol=16 * U)
-    assert frame.stats["other_counts"]["samples_shaded"] <= SIDE * SIDE * (1 + most + STRATA)
+def test_rate_auto_shades_a_quarter_or_all_of_each_surface(device: Device, mode: str, rate: str) -> None:
+    """A quarter with an error that all may have, all S where surfaces vary with one that none may have."""
+    check_rate(device, varied_triangles(), mode, rate, 16 * U)
 
 
 def test_rate_auto_leaves_flat_colours_alone(device: Device) -> None:
@@ -191,7 +191,7 @@ def test_half_planes_cover_what_their_samples_say_at_rate_auto(device: Device) -
 
 @pytest.mark.long
 def test_half_planes_at_a_thousand_angles_at_rate_auto(device: Device) -> None:
-    if device.runtime != next(iter(runtimes().working)):
+    if device.runtime != first_runtime():
         pytest.skip("a thousand angles on the first runtime alone: others take a second for each")
     check_coverage(device, 1000)
 
@@ -214,7 +214,7 @@ def test_rounds_of_rate_auto_shade_each_of_s_samples_once(mode: str) -> None:
             seen += counted if visit.is_new else []
             shaded += [k for k in samples if visit.shaded >> (k - samples[0]) & 1]
         assert seen == list(range(count))
-        assert shaded == list(range(max(1, most // 4) if number == 0 else most))
+        assert shaded == list(range(first_shaded(most) if number == 0 else most))
     assert len(rounds.samples) == (1 if most == 1 else 2)
     assert rounds.threshold_of(len(rounds.samples) - 1) == np.inf and rounds.edge_error(0) == 0.0
 
@@ -222,7 +222,7 @@ def test_rounds_of_rate_auto_shade_each_of_s_samples_once(mode: str) -> None:
 @pytest.mark.parametrize(("mode", "count"), [("msaa:2", 2), ("csaa:4+8", 12), ("msaa:32", 32 + 16)])
 def test_samples_that_do_not_count_take_no_pass(mode: str, count: int) -> None:
     """Where each sample takes one: those of the pattern, and a second visit's once more for the list."""
-    device = open_device(runtimes().working[next(iter(runtimes().working))])
+    device = open_first_device()
     given = {"aov": ("color",), "method": "3dr-full", "aa": mode, "shading_rate": FEW}
     counts = render(device, some_triangles(), orthographic(SIDE, SIDE), **given).stats["counts"]
     assert counts["passes"] == 1 + count
@@ -231,7 +231,7 @@ def test_samples_that_do_not_count_take_no_pass(mode: str, count: int) -> None:
 
 def test_lanes_beyond_a_pattern_decide_nothing() -> None:
     """A triangle that none of 2 samples shows, but samples of the same visit do, is not seen."""
-    device = open_device(runtimes().working[next(iter(runtimes().working))])
+    device = open_first_device()
     two, others = scrambled(2).positions, scrambled(16).positions[2:]
     x, y = others[0]
     sizes = [max(abs(x - u), abs(y - v)) for u, v in (*two, CENTER)]

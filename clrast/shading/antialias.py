@@ -17,7 +17,7 @@ from clrast.shading.rounds import rounds_of
 from clrast.shading.shade import Shader
 from clrast.shading.strata import StratifiedSampler
 from clrast.shading.supersample import Layers, Supersampler
-from clrast.visibility.sample_patterns import Antialiasing, Pattern, parse_antialiasing, parse_shading_rate
+from clrast.visibility.sample_patterns import Antialiasing, Pattern, parse_antialiasing, with_rate
 
 if TYPE_CHECKING:
     from clrast.opencl.device import Device
@@ -26,12 +26,8 @@ if TYPE_CHECKING:
 
 
 class Resolver(Protocol):
-    """Replaces the colour of a band, shaded at the pixels' centres, by that of its samples.
+    """Replaces the colour of a band, shaded at the pixels' centres, by that of its samples."""
 
-    lists_samples : whether visibility of many samples is decided at once where a method can (listed_samples.py).
-    """
-
-    lists_samples: bool
     counts: dict[str, int]
     shader: Shader
 
@@ -43,22 +39,17 @@ class Resolver(Protocol):
 
 def antialiasing_of(options: RenderOptions) -> Antialiasing:
     """What the options ask for, of colour."""
-    wanted = parse_antialiasing("--aa", options.aa_in_use)
-    if wanted.kind not in ("msaa", "csaa"):
-        return wanted
-    return replace(wanted, threshold=parse_shading_rate("--shading-rate", options.shading_rate)[1])
+    return with_rate(parse_antialiasing("--aa", options.aa_in_use), options.shading_rate)
 
 
-def shares_shading(wanted: Antialiasing, options: RenderOptions, blends: bool) -> bool:
+def shares_shading(wanted: Antialiasing, blends: bool) -> bool:
     """Whether samples of one surface share its one shading. Where surfaces blend each sample has layers of its own."""
-    return wanted.kind in ("msaa", "csaa") and not blends and (wanted.kind, options.shading_rate) != ("msaa", "sample")
+    return not blends and (wanted.kind == "csaa" or (wanted.kind == "msaa" and not wanted.shades_all))
 
 
 def uses_centers(options: RenderOptions, blends: bool) -> bool:
     """Whether the colour of pixels' centres takes part in an image; where it does not, no ray need go on from them."""
-    wanted = antialiasing_of(options)
-    shades_all = wanted.kind == "ssaa" or (wanted.kind in ("msaa", "csaa") and options.shading_rate == "sample")
-    return blends or not shades_all
+    return blends or not antialiasing_of(options).shades_all
 
 
 def resolver_bytes(options: RenderOptions, features: Features, blends: bool, of_rays: int) -> tuple[int, int]:
@@ -69,12 +60,13 @@ def resolver_bytes(options: RenderOptions, features: Features, blends: bool, of_
     wanted = antialiasing_of(options)
     if wanted.kind == "none":
         return 0, 0
+    at_worst = options.memory is not None
     if wanted.threshold:
-        layered, at_worst = features if blends else None, options.memory is not None
+        layered = features if blends else None
         return StratifiedSampler.bytes_per_pixel(rounds_of(wanted), at_worst, layered, of_rays)
-    if not shares_shading(wanted, options, blends):
+    if not shares_shading(wanted, blends):
         return Supersampler.bytes_per_pixel(), 20
-    at_worst = options.memory is not None or options.shading_rate != "pixel"
+    at_worst = at_worst or wanted.shades_all
     return Multisampler.bytes_per_pixel(wanted, options.filter, at_worst), max(20, 4 * wanted.depth_count)
 
 
@@ -98,10 +90,9 @@ def make_resolver(
     if wanted.threshold:
         listed = shader.sibling(replace(features, sample_list=True), ("color",), 1)
         return StratifiedSampler(device, features, rounds_of(wanted), listed, max_pixels, blends)
-    if shares_shading(wanted, options, blends):
+    if shares_shading(wanted, blends):
         listed = shader.sibling(replace(features, sample_list=True), ("color",), 1)
-        parts = options.shading_rate == "sample"
-        return Multisampler(device, features, wanted, options.filter, listed, max_pixels, parts)
+        return Multisampler(device, features, wanted, options.filter, listed, max_pixels)
     color = shader.sibling(features, ("color",), max_pixels)
     # Nothing is shared: csaa shades those samples that have visibility of their own.
     pattern = Pattern(wanted.pattern.name, wanted.pattern.positions[: wanted.depth_count])

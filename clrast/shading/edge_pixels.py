@@ -24,19 +24,10 @@ PLANE_ALIGNMENT = 1024
 BYTES_PER_PIXEL = 4 + 1 + 4
 """Device bytes a pixel of a band takes here, beside 4 for each plane and 4 in the list."""
 
-FOOTPRINT = 0.25
-"""Side of what a sample of a listed pixel stands for, pixels: that of one in 16. For the first samples finer ones than
-that are as good, and with coarser ones the error stops to fall where textures are blurred."""
-
 
 def padded(count: int) -> int:
     """Work items for so many pixels."""
     return -(-count // WORK_GROUP) * WORK_GROUP
-
-
-def quads_of(pixel_count: int, width: int) -> int:
-    """Quads of 2 x 2 pixels that cover a band, those at its ends in part."""
-    return -(-width // 2) * -(-(pixel_count // width) // 2)
 
 
 class EdgePixels:
@@ -62,12 +53,11 @@ class EdgePixels:
         self._grown: dict[str, tuple[int, cl.Buffer]] = {}
 
     def decide(
-        self, passes: SamplePasses, row: int, rows: int, pixel_count: int, first: Sequence[Position],
-        pattern: Sequence[Position],
-    ) -> None:  # fmt: skip
-        """Keep what the centres show, and find what the first samples of a pattern do; bounds hold for all. Waits."""
+        self, passes: SamplePasses, row: int, rows: int, pixel_count: int, pattern: Sequence[Position]
+    ) -> None:
+        """Keep what the centres show, and find what the samples of a pattern do. Waits."""
         self.start(passes, row, rows, pixel_count, pattern)
-        passes.decide(first, self.planes)
+        passes.decide(pattern, self.planes)
 
     def start(self, passes: SamplePasses, row: int, rows: int, pixel_count: int, pattern: Sequence[Position]) -> None:
         """Keep what the centres show, and bin the band's triangles by bounds that hold for the pattern's samples."""

@@ -50,7 +50,7 @@ def ground_arguments(shader: Shader, view: np.ndarray, projection: Projection) -
 
 class Multisampler:
     """Shares the shading of a band's samples. shader : of colour alone, with features.sample_list. parts : whether each
-    sample that has visibility of its own is shaded (shading rate sample)."""
+    sample that has visibility of its own is shaded."""
 
     def __init__(
         self,
@@ -60,19 +60,17 @@ class Multisampler:
         filter_name: str,
         shader: Shader,
         max_pixels: int,
-        parts: bool = False,
     ) -> None:
-        self.device, self.wanted, self.shader, self.parts = device, wanted, shader, parts
+        self.device, self.wanted, self.shader, self.parts = device, wanted, shader, wanted.shades_all
         self._pixels_at_once = max(1, max_pixels // wanted.depth_count)
-        shader.footprint = 1.0 / math.sqrt(wanted.depth_count) if parts else 1.0
+        shader.footprint = 1.0 / math.sqrt(wanted.depth_count) if self.parts else 1.0
         self._projection = features.projection
         self.counts: dict[str, int] = {}
         self.own_launches = 0
         self.reach = reach_of(filter_name)
         self.edges = EdgePixels(device, features, wanted.depth_count, max_pixels)
         decided = wanted.pattern.positions[: wanted.depth_count]
-        self.lists_samples = wanted.lists_samples and not parts
-        self._samples = ListedSamples(device, features, decided) if self.lists_samples else None
+        self._samples = ListedSamples(device, features, decided) if wanted.lists_samples else None
         self._strides = 1, self.edges.stride
         self._sharing = kernels.build(device, "share_shading.cl", features)
         self._resolving = kernels.build(device, "resolve_samples.cl", features)
@@ -108,13 +106,12 @@ class Multisampler:
             edges.start(passes, row, rows, pixel_count, decided)
             self._samples.decide_all(passes, visits, pixel_count, edges.center, edges.flags, edges.prims)
             self._strides = len(decided), 1
-            passes.timed("resolve", partial(edges.count_flags, pixel_count))
-            return
-        edges.decide(passes, row, rows, pixel_count, decided, decided)
-        if not self.parts:
-            passes.timed("resolve", partial(edges.flag, pixel_count))
-            return
-        buffers.fill(self.device, edges.flags, np.uint8(255), pixel_count)
+        else:
+            edges.decide(passes, row, rows, pixel_count, decided)
+            if not self.parts:
+                passes.timed("resolve", partial(edges.flag, pixel_count))
+                return
+            buffers.fill(self.device, edges.flags, np.uint8(255), pixel_count)
         passes.timed("resolve", partial(edges.count_flags, pixel_count))
 
     def _share(self, passes: SamplePasses, pixel_count: int, target: Shader) -> None:

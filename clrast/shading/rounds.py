@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from clrast.opencl.constants import STRATA, VISIT_SAMPLES
-from clrast.shading.edge_pixels import FOOTPRINT
 from clrast.visibility.sample_patterns import Antialiasing, Position, scrambled
 
 SHADED_SHARE = 4
@@ -24,6 +23,10 @@ VISITS_AT_ONCE = 4
 EDGE_ERROR = 0.9
 """Of the deviation between a pixel's surfaces by N^(3/4), the error of N samples: straight edges through the pixel have
 0.78 of it with 16 samples of this pattern, and 0.89 with 256, the most."""
+
+FOOTPRINT = 0.25
+"""Side of what a sample of a listed pixel stands for, pixels: that of one in 16. For the first samples finer ones than
+that are as good, and with coarser ones the error stops to fall where textures are blurred."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ cl/stratify_samples.cl, which says how, and cl/judge_strata.cl.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -16,7 +17,7 @@ from clrast.opencl.constants import LIST_CHUNK, STRATA, VISIT_SAMPLES
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
 from clrast.opencl.layout import NO_HIT
-from clrast.shading.edge_pixels import BYTES_PER_PIXEL, EdgePixels, padded, quads_of
+from clrast.shading.edge_pixels import BYTES_PER_PIXEL, EdgePixels, padded
 from clrast.shading.multisample import ground_arguments
 from clrast.shading.rounds import Rounds, Visit
 from clrast.shading.shade import WORK_GROUP, Shader
@@ -33,9 +34,20 @@ TYPICAL_SHADED = 6
 """Samples of a listed pixel shaded at once that memory is planned for where no budget is given."""
 
 
+def quads_of(pixel_count: int, width: int) -> int:
+    """Quads of 2 x 2 pixels that cover a band, those at its ends in part."""
+    return -(-width // 2) * -(-(pixel_count // width) // 2)
+
+
 def bits_of(mask: int) -> list[int]:
     """Which bits are set, the lowest first."""
     return [k for k in range(mask.bit_length()) if mask >> k & 1]
+
+
+def positions_of(part: dict[str, Any], masks: Sequence[int]) -> dict[int, Position]:
+    """Where samples of a part lie, by number; masks : of each visit a bit for each of them."""
+    numbers = (VISIT_SAMPLES * visit + k for visit, mask in enumerate(masks) for k in bits_of(mask))
+    return {number: part["positions"][number] for number in numbers}
 
 
 class StratifiedSampler:
@@ -44,8 +56,6 @@ class StratifiedSampler:
     shader : of colour alone, with features.sample_list. blends : whether surfaces do; what lies behind them is found
     for the samples that are shaded.
     """
-
-    lists_samples = True
 
     def __init__(
         self, device: Device, features: Features, rounds: Rounds, shader: Shader, max_pixels: int, blends: bool
@@ -57,7 +67,7 @@ class StratifiedSampler:
         self.own_launches = 0
         self.edges = EdgePixels(device, features, 0, max_pixels)
         self._samples = ListedSamples(device, features, rounds.positions)
-        self._layers = ListedLayers(device, features, rounds.positions, max_pixels) if blends else None
+        self._layers = ListedLayers(device, features, max_pixels) if blends else None
         self._nearness_bytes = nearness_bytes(features)
         self._first_prims = buffers.create(device, 4 * VISIT_SAMPLES * max_pixels)
         self._differs = buffers.create(device, max_pixels)
@@ -165,7 +175,7 @@ class StratifiedSampler:
         later_lanes = [bits for visit, bits in zip(part, lanes, strict=True) if visit.number in later]
         return {
             "later": later, "later_lanes": later_lanes, "visit_count": len(part),
-            "stride": VISIT_SAMPLES * len(later),
+            "stride": VISIT_SAMPLES * len(later), "positions": positions,
             "visits": buffers.upload(self.device, np.array(rows, dtype=np.uint32)),
             "sample_positions": buffers.upload(self.device, packed),
         }  # fmt: skip
@@ -181,8 +191,7 @@ class StratifiedSampler:
             self._samples.decide(passes, part["later"], count, self.edges.center, later, *lists, part["later_lanes"])
         else:
             self._layers.start(pixel_count, self._band["pixels"], count)
-            samples = [VISIT_SAMPLES * v + k for v, lanes in enumerate(part["later_lanes"]) for k in bits_of(lanes)]
-            self._layers.decide(passes, part["later"], samples, self._entries(part))
+            self._layers.decide(passes, positions_of(part, part["later_lanes"]), self._entries(part))
         listed = passes.timed("resolve", partial(self._choose, view, part, begins))
         if not listed:
             return
@@ -207,19 +216,23 @@ class StratifiedSampler:
 
     def _shade_behind(self, passes: SamplePasses, layers: ListedLayers, part: dict[str, Any], listed: int) -> None:
         """Add what lies behind the samples that are shaded and let light through, layer by layer. Waits."""
-        count, layer = self._band["count"], 0
-        shape = count, part["visit_count"], 2
-        chosen = buffers.download(self.device, self.edges.room("chosen"), np.uint32, shape)[..., 0]
-        masks = np.bitwise_or.reduce(chosen, axis=0).tolist()
-        samples = [VISIT_SAMPLES * v + k for v, mask in enumerate(masks) for k in bits_of(mask)]
+        layer = 0
+        samples: dict[int, Position] = {}
         while self.shader.has_open_pixels(listed):
             layer += 1
+            samples = samples or self._shaded_samples(part)
             shaded = {"visit_count": part["visit_count"], "open_samples": self.shader.open_pixels}
             shaded |= self._rooms("chosen", "first_shaded")
-            layers.decide_behind(passes, part["later"], samples, layer, self._entries(part), shaded)
+            layers.decide_behind(passes, samples, layer, self._entries(part), shaded)
             passes.timed("resolve", partial(self._list_chosen, part))
             lists = self.edges.room("shaded_prims"), listed, layer, self.edges.room("places")
             passes.timed("shade", partial(self.shader.shade, passes.tiles.view, *lists))
+
+    def _shaded_samples(self, part: dict[str, Any]) -> dict[int, Position]:
+        """The samples of a part that are shaded in any pixel. Waits."""
+        shape = self._band["count"], part["visit_count"], 2
+        chosen = buffers.download(self.device, self.edges.room("chosen"), np.uint32, shape)[..., 0]
+        return positions_of(part, np.bitwise_or.reduce(chosen, axis=0).tolist())
 
     def _choose(self, view: np.ndarray, part: dict[str, Any], begins: bool) -> int:
         """List the samples that are to be shaded; returns their number. Waits."""

@@ -22,8 +22,6 @@ Layers = Callable[[int, Shader], None]
 class Supersampler:
     """Shades every sample of a band. shader : of colour alone; layers : None where nothing blends."""
 
-    lists_samples = False
-
     def __init__(
         self,
         device: Device,

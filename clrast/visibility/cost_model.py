@@ -77,7 +77,7 @@ def is_worth_a_trial(counts: ViewCounts, default: StageTimes) -> bool:
 def reason_without_choice(precision: str, *, lists_samples: bool, is_limited: bool) -> str | None:
     """Why nothing else than the default is tried, if so, whatever the view is.
 
-    precision : a rung's name. lists_samples : `--aa auto`, whose listed samples the default alone decides together.
+    precision : a rung's name. lists_samples : whether the default alone decides many samples of pixels together.
     is_limited : the device ends long loops, the image is rendered in bands, or there is a memory budget.
     """
     if precision == "fixed":

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from clrast.opencl import buffers, kernels
-from clrast.opencl.constants import VISIT_SAMPLES
 from clrast.opencl.device import Device
 from clrast.opencl.features import Features
 from clrast.visibility.sample_passes import SamplePasses
@@ -26,11 +25,11 @@ def nearness_bytes(features: Features) -> int:
 class ListedLayers:
     """Decides samples of a list's pixels, each by a pass over the band that meets nothing beside the list.
 
-    positions : of whole visits. With features.keep_nearness.
+    With features.keep_nearness. Samples are given by number, with where they lie.
     """
 
-    def __init__(self, device: Device, features: Features, positions: Sequence[Position], max_pixels: int) -> None:
-        self.device, self.positions = device, positions
+    def __init__(self, device: Device, features: Features, max_pixels: int) -> None:
+        self.device = device
         self.launches = 0
         self._is_masked = not features.filtered
         self._program = kernels.build(device, "listed_layers.cl", features)
@@ -50,25 +49,22 @@ class ListedLayers:
         fronts = {"front_nearness": self._front_nearness, "front_prims": self._front_prims}
         self._launch("close_fronts", pixel_count, pixel_count=pixel_count, **fronts)
 
-    def decide(
-        self, passes: SamplePasses, numbers: Sequence[int], samples: Iterable[int], found: dict[str, Any]
-    ) -> None:
+    def decide(self, passes: SamplePasses, samples: Mapping[int, Position], found: dict[str, Any]) -> None:
         """Find what some samples show first. Waits.
 
-        numbers : of the visits that are kept. samples : which of theirs. found : prims [count * stride] and nearness,
-        of all samples of the visits, and `stride`.
+        found : prims [count * stride] and nearness, by the samples' numbers, and `stride`.
         """
         front = None
         if self._is_masked:
             opened = {"count": self._count, "pixels": self._list["pixels"]}
             self._launch("open_fronts", self._count, **opened, front_nearness=self._front_nearness)
             front = self._front_nearness, self._front_prims
-        for sample in samples:
-            self._pass(passes, numbers, sample, int(front is not None), front, found)
+        for sample, position in samples.items():
+            self._pass(passes, sample, position, int(front is not None), front, found)
             passes.listed += 0 if front is None else self._count
 
     def decide_behind(
-        self, passes: SamplePasses, numbers: Sequence[int], samples: Iterable[int], layer: int, found: dict[str, Any],
+        self, passes: SamplePasses, samples: Mapping[int, Position], layer: int, found: dict[str, Any],
         shaded: dict[str, Any],
     ) -> None:  # fmt: skip
         """Replace what samples show by what lies behind it, where they are shaded and open. Waits.
@@ -76,19 +72,18 @@ class ListedLayers:
         shaded : which those are: visit_count, chosen, first_shaded, open_samples.
         """
         front = self._front_nearness, self._front_prims
-        for sample in samples:
+        for sample, position in samples.items():
             self._launch(
                 "put_fronts", self._count, **self._list, **shaded, **found, sample=sample,
                 front_nearness=self._front_nearness, front_prims=self._front_prims,
             )  # fmt: skip
-            self._pass(passes, numbers, sample, layer, front, found)
+            self._pass(passes, sample, position, layer, front, found)
 
     def _pass(
-        self, passes: SamplePasses, numbers: Sequence[int], sample: int, layer: int,
+        self, passes: SamplePasses, sample: int, position: Position, layer: int,
         front: tuple[cl.Buffer, cl.Buffer] | None, found: dict[str, Any],
     ) -> None:  # fmt: skip
-        visit, k = divmod(sample, VISIT_SAMPLES)
-        passes.decide((self.positions[VISIT_SAMPLES * numbers[visit] + k],), (self._found,), layer, front)
+        passes.decide((position,), (self._found,), layer, front)
         self._launch(
             "take_layer", self._count, **self._list, **found, sample=sample, visible_prims=self._found,
             band_nearness=passes.tiles.nearness,

@@ -19,7 +19,7 @@ center : one sample, the pixel's centre; what `none` has
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -75,21 +75,20 @@ class Antialiasing:
 
     pattern : all samples; the first `depth_count` of them have visibility of their own, the rest (csaa's C) store only
     whose they are. threshold : estimated error from which on a pixel is sampled further: auto's EPS, or that of msaa
-    and csaa with shading rate auto, else 0.
+    and csaa with shading rate auto, else 0. shades_all : whether each sample that has visibility of its own is shaded:
+    ssaa, and msaa and csaa with shading rate sample.
     """
 
     kind: str
     pattern: Pattern
     depth_count: int
     threshold: float = 0.0
+    shades_all: bool = False
 
     @property
     def lists_samples(self) -> bool:
-        """Whether many samples of a pixel are decided at once where a method can (listed_samples.py), unless each of
-        them is shaded."""
-        if self.kind in ("none", "ssaa"):
-            return False
-        return self.threshold > 0 or self.depth_count % VISIT_SAMPLES == 0
+        """Whether many samples of a pixel are decided at once where a method can (listed_samples.py)."""
+        return not self.shades_all and (self.threshold > 0 or self.depth_count % VISIT_SAMPLES == 0)
 
     @property
     def name(self) -> str:
@@ -180,7 +179,7 @@ def parse_antialiasing(option: str, text: Any) -> Antialiasing:
         return Antialiasing("none", pattern_of(1), 1)
     if match[2] == "ssaa":
         count = _in_range(option, text, int(match[3]), MAX_SAMPLES)
-        return Antialiasing("ssaa", pattern_of(count), count)
+        return Antialiasing("ssaa", pattern_of(count), count, shades_all=True)
     if match[2] == "msaa":
         count = int(match[3])
         if count not in MSAA_COUNTS:
@@ -212,6 +211,14 @@ def parse_shading_rate(option: str, text: Any) -> tuple[str, float]:
         return text, SHADING_ERROR if text == "auto" else 0.0
     value = _threshold(option, text, text.removeprefix("auto:"))
     return "auto" if value == SHADING_ERROR else f"auto:{value!r}", value
+
+
+def with_rate(wanted: Antialiasing, rate: str) -> Antialiasing:
+    """The mode with a shading rate, which msaa and csaa alone read."""
+    if wanted.kind not in ("msaa", "csaa"):
+        return wanted
+    name, error = parse_shading_rate("--shading-rate", rate)
+    return replace(wanted, threshold=error, shades_all=name == "sample")
 
 
 def _in_range(option: str, text: str, count: int, most: int) -> int:
