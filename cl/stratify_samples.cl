@@ -23,21 +23,24 @@
 #include "same_surface.clh"
 
 #define FIRST_VISIT NO_HIT  // in place of a first entry: the samples that all pixels were looked at
+#define FIRST_OF_CENTER 0xffffu  // in place of a sample's number: the centre, which is none
 
-// What is known of a listed pixel's strata: the triangle that each was first seen by, samples that show it, of these shaded.
+// What is known of a listed pixel's strata: the triangle that each was first seen by, samples that show it, of these shaded,
+// and the one that was shaded when it was found, which is not shaded again.
 typedef struct {
-  uint prims[STRATA], covered[STRATA], shaded[STRATA];
+  uint prims[STRATA], covered[STRATA], shaded[STRATA], firsts[STRATA];
   uint count;
 } Strata;
 
 static inline Strata no_strata() {
   Strata s;
-  for (uint k = 0; k < STRATA; ++k) s.prims[k] = s.covered[k] = s.shaded[k] = 0;
+  for (uint k = 0; k < STRATA; ++k) s.prims[k] = s.covered[k] = s.shaded[k] = s.firsts[k] = 0;
   s.count = 0;
   return s;
 }
 
-static inline Strata load_strata(size_t slot, global const uint *restrict prims, global const uint *restrict counts) {
+static inline Strata load_strata(size_t slot, global const uint *restrict prims, global const uint *restrict counts,
+                                 global const ushort *restrict firsts) {
   Strata s;
   s.count = 0;
   for (uint k = 0; k < STRATA; ++k) {
@@ -45,6 +48,7 @@ static inline Strata load_strata(size_t slot, global const uint *restrict prims,
     s.prims[k] = prims[STRATA * slot + k];
     s.covered[k] = both & 0xffffu;
     s.shaded[k] = both >> 16;
+    s.firsts[k] = firsts[STRATA * slot + k];
     if (s.shaded[k]) s.count = k + 1;  // each is shaded when it is found
   }
   return s;
@@ -126,7 +130,7 @@ static inline global const uint *visit_samples(uint4 visit, uint pixel, uint ite
 }
 
 // Reads: pixels, slots (list_edge_pixels, keep_strata), differs, first_prims, later_prims (rasterize_samples). Writes:
-// stratum_prims, stratum_counts, chosen, chosen_counts (for list_chosen). Work item: one listed pixel.
+// stratum_prims, stratum_counts, stratum_firsts, chosen, chosen_counts (for list_chosen). Work item: one listed pixel.
 // Local memory: 0 bytes.
 kernel void meet_strata(
     View view,
@@ -141,7 +145,8 @@ kernel void meet_strata(
     global const uint *restrict object_ids,       // [triangle_count]
     global const uint *restrict material_ids,     // [triangle_count]
     global const uint4 *restrict visits,          // [visit_count] first entry or FIRST_VISIT; a bit for each sample that
-                                                  // counts; and that is shaded where its stratum is open; 1: all are new
+                                                  // counts; and that is shaded where its stratum is open; number of the
+                                                  // first sample << 1, and 1: all are new
     global const uint *restrict sample_positions, // [visit_count * VISIT_SAMPLES] 256ths of a pixel, x | y << 16
     global const uint *restrict pixels,           // [count]
     global const uint *restrict slots,            // [count] where what is known of a pixel stands
@@ -152,6 +157,7 @@ kernel void meet_strata(
     global const uchar *restrict open,            // [slots] a bit for each stratum that calls for more shading
     global uint *restrict stratum_prims,          // [slots * STRATA] in and out
     global uint *restrict stratum_counts,         // [slots * STRATA] in and out: samples | shaded << 16
+    global ushort *restrict stratum_firsts,       // [slots * STRATA] in and out: number of the sample shaded when it was found
     global uint2 *restrict chosen,                // [count * visit_count] a bit for each sample to be shaded; strata, 2 bits each
     global uchar *restrict chosen_counts)         // [count]
 {
@@ -162,15 +168,17 @@ kernel void meet_strata(
   const Ground g = {view, surface_distance, positions, indices, object_ids, material_ids};
   const float left = (float)(pixel % view.width) - view.center_x;
   const float top = (float)(pixel / view.width + view.band_top) - view.center_y;
-  Strata s = begins ? no_strata() : load_strata(slot, stratum_prims, stratum_counts);
+  Strata s = begins ? no_strata() : load_strata(slot, stratum_prims, stratum_counts, stratum_firsts);
   if (begins && uses_center) {
     s.prims[0] = center_prims[pixel];
     s.shaded[0] = s.count = 1;
+    s.firsts[0] = FIRST_OF_CENTER;
   }
   const uint is_open = begins ? (1u << STRATA) - 1 : open[slot];
   uint chosen_count = 0;
   for (uint visit = 0; visit < visit_count; ++visit) {
     const uint4 own = visits[visit];
+    const uint first_number = own.w >> 1;
     global const uint *samples = visit_samples(own, pixel, item, stride, first_prims, later_prims);
     // Where samples do not differ from the centre they need not be looked at. All else by triangle, as they come.
     const bool is_plain = own.x == FIRST_VISIT && !differs[pixel];
@@ -183,8 +191,13 @@ kernel void meet_strata(
       const uint stratum = find_stratum(&g, &s, prim_id, x, y), found = own.y & samples_of(shown, prim_id);
       left_over &= ~found;
       uint shaded = is_open >> stratum & 1 ? found & own.z : 0;
-      if (s.shaded[stratum] == 0) shaded |= 1u << k;
-      s.covered[stratum] += own.w * popcount(found);
+      if (s.shaded[stratum] == 0) {
+        s.firsts[stratum] = first_number + k;
+        shaded |= 1u << k;
+      } else if (s.firsts[stratum] - first_number < VISIT_SAMPLES) {
+        shaded &= ~(1u << (s.firsts[stratum] - first_number));
+      }
+      s.covered[stratum] += (own.w & 1) * popcount(found);
       s.shaded[stratum] += popcount(shaded);
       mask |= shaded;
       for (; shaded != 0; shaded &= shaded - 1) strata |= stratum << 2 * first_bit(shaded);
@@ -195,6 +208,7 @@ kernel void meet_strata(
   for (uint k = 0; k < STRATA; ++k) {
     stratum_prims[STRATA * slot + k] = k < s.count ? s.prims[k] : NO_HIT;
     stratum_counts[STRATA * slot + k] = k < s.count ? s.covered[k] | s.shaded[k] << 16 : 0;
+    stratum_firsts[STRATA * slot + k] = k < s.count ? s.firsts[k] : 0;
   }
   chosen_counts[item] = chosen_count;
 }

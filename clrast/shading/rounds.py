@@ -2,7 +2,8 @@
 
 auto: 16, 32, 64 .. 256 samples, a quarter of them shaded where their surface is open.
 msaa:S and csaa:S+C with shading rate auto: all S + C samples at once; beside the centre a quarter of S is shaded, then
-all S where their surface is open. So no pixel has more than S + 1 + its surfaces shaded, however hard it is.
+all S where their surface is open. So no pixel has more than S + 1 shaded, however hard it is, but for one of each
+surface that coverage samples alone show.
 """
 
 from __future__ import annotations

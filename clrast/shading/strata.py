@@ -27,7 +27,7 @@ from clrast.visibility.sample_passes import SamplePasses
 from clrast.visibility.sample_patterns import Position
 
 SUMS_BYTES = 2 * 16 * STRATA
-STATE_BYTES = SUMS_BYTES + 8 * STRATA + 1
+STATE_BYTES = SUMS_BYTES + 10 * STRATA + 1
 """Device bytes of what is known of a listed pixel's strata."""
 
 TYPICAL_SHADED = 6
@@ -142,8 +142,8 @@ class StratifiedSampler:
         self._number_slots(count)
         buffers.fill(self.device, self._deviations, np.float32(-1.0), 4 * pixel_count)
         for name, size in (
-            ("sums", SUMS_BYTES), ("stratum_prims", 4 * STRATA), ("stratum_counts", 4 * STRATA), ("open", 1),
-            ("chosen_counts", 1), ("first_shaded", 4), ("keep", 1),
+            ("sums", SUMS_BYTES), ("stratum_prims", 4 * STRATA), ("stratum_counts", 4 * STRATA),
+            ("stratum_firsts", 2 * STRATA), ("open", 1), ("chosen_counts", 1), ("first_shaded", 4), ("keep", 1),
         ):  # fmt: skip
             self.edges.room(name, size * count)
         return count
@@ -169,7 +169,7 @@ class StratifiedSampler:
         lanes = [visit.shaded if self._layers is not None and not visit.is_new else visit.lanes for visit in part]
         for visit, looked_at in zip(part, lanes, strict=True):
             entry = VISIT_SAMPLES * later.index(visit.number) if visit.number in later else NO_HIT
-            rows.append((entry, looked_at, visit.shaded, int(visit.is_new)))
+            rows.append((entry, looked_at, visit.shaded, VISIT_SAMPLES * visit.number << 1 | int(visit.is_new)))
             positions += self.rounds.positions[VISIT_SAMPLES * visit.number : VISIT_SAMPLES * (visit.number + 1)]
         packed = np.array([x | y << 16 for x, y in positions], dtype=np.uint32)
         later_lanes = [bits for visit, bits in zip(part, lanes, strict=True) if visit.number in later]
@@ -241,7 +241,7 @@ class StratifiedSampler:
         self._launch(
             self._strata, "meet_strata", count, **self._band, **self._samples_of(part), **self._ground(view),
             chosen=chosen, begins=int(begins), uses_center=int(self.rounds.uses_center),
-            **self._rooms("open", "stratum_prims", "stratum_counts", "chosen_counts"),
+            **self._rooms("open", "stratum_prims", "stratum_counts", "stratum_firsts", "chosen_counts"),
         )  # fmt: skip
         listed = self.edges.sum_entries(self.edges.room("chosen_counts"), count)
         if listed:
