@@ -8,6 +8,7 @@
 // Good at: lists of any length. Bad at: nothing known. Tests: tests/test_antialiasing.py.
 
 #include "color_planes.clh"
+#include "strata.clh"
 
 #pragma OPENCL FP_CONTRACT OFF
 
@@ -25,7 +26,7 @@ kernel void gather_strata(
     uint begins,                                 // 1: nothing is known yet
     global const uint *restrict pixels,          // [count]
     global const uint *restrict slots,           // [count]
-    global const uint2 *restrict chosen,         // [count * visit_count]
+    global const ChosenSamples *restrict chosen, // [count * visit_count]
     global const uint *restrict stratum_counts,  // [slots * STRATA] these samples included
     global const uint *restrict first_shaded,    // [count]
     global const float *restrict colors,         // [4 * listed_count] R G B A
@@ -45,9 +46,9 @@ kernel void gather_strata(
     found[k] = 0;
   }
   for (uint visit = 0; visit < visit_count; ++visit) {
-    const uint2 own = chosen[item * (size_t)visit_count + visit];
+    const ChosenSamples own = chosen[item * (size_t)visit_count + visit];
     for (uint mask = own.x; mask != 0; mask &= mask - 1) {
-      const uint stratum = own.y >> 2 * (31 - clz(mask & (0 - mask))) & 3;
+      const uint stratum = chosen_stratum(own, first_bit(mask));
       const float4 d = load_color(colors, listed_count, position++) - center;
       sum[stratum] += d;
       squares[stratum] += d * d;
@@ -66,7 +67,7 @@ kernel void gather_strata(
       sums[2 * STRATA * slot + SUM_OF(k)] = sum[k];
       sums[2 * STRATA * slot + SQUARES_OF(k)] = squares[k];
     }
-    if (shaded < 2) continue;
+    if (shaded < 2 || k == CROWD) continue;
     within += squares[k] - sum[k] * (sum[k] / (float)shaded);
     freedom += (float)(shaded - 1);
   }
@@ -118,11 +119,13 @@ kernel void judge_strata(
     if (!shaded) continue;
     const float share = (float)(both & 0xffffu) / sample_count, n = (float)shaded;
     const float4 sum = sums[2 * STRATA * slot + SUM_OF(k)], own_mean = sum / n;
+    const float4 own_squares = sums[2 * STRATA * slot + SQUARES_OF(k)];
     mean += own_mean * share;
-    squares += own_mean * own_mean * share;
+    squares += (k == CROWD ? own_squares / n : own_mean * own_mean) * share;
+    if (k == CROWD) continue;
     float variance = around;
     if (shaded > 1) {
-      const float4 own = sums[2 * STRATA * slot + SQUARES_OF(k)] - sum * own_mean;
+      const float4 own = own_squares - sum * own_mean;
       variance = 0.5f * (max(largest_channel(own), 0.0f) / (n - 1.0f) + around);
     }
     const float root = sqrt(n), slowly = root * sqrt(root);

@@ -12,6 +12,7 @@
 #include "vector.clh"
 #include "edge_function.clh"
 #include "fronts.clh"
+#include "strata.clh"
 
 // Reads: nothing. Writes: front_nearness, front_prims (for rasterize_tiles with a layer in front). Work item: one pixel.
 // Local memory: 0 bytes.
@@ -45,7 +46,7 @@ kernel void put_fronts(
     uint sample,                               // which of a pixel's
     uint stride,                               // entries from one listed pixel to the next
     global const uint *restrict pixels,        // [count]
-    global const uint2 *restrict chosen,       // [count * visit_count] a bit for each sample that is shaded
+    global const ChosenSamples *restrict chosen, // [count * visit_count]
     global const uint *restrict first_shaded,  // [count] where a pixel's samples begin in the list of these
     global const uchar *restrict open_samples, // [listed] 1 where something behind is to be seen
     global const uint *restrict prims,         // [count * stride]
@@ -56,11 +57,11 @@ kernel void put_fronts(
   const uint item = get_global_id(0);
   if (item >= count) return;
   const uint pixel = pixels[item], visit = sample / VISIT_SAMPLES, bit = 1u << sample % VISIT_SAMPLES;
-  global const uint2 *own = chosen + item * (size_t)visit_count;
+  global const ChosenSamples *own = chosen + item * (size_t)visit_count;
   bool is_open = (own[visit].x & bit) != 0;
   if (is_open) {
-    uint place = first_shaded[item] + popcount(own[visit].x & (bit - 1));
-    for (uint k = 0; k < visit; ++k) place += popcount(own[k].x);
+    uint place = first_shaded[item] + popcount((uint)own[visit].x & (bit - 1));
+    for (uint k = 0; k < visit; ++k) place += popcount((uint)own[k].x);
     is_open = open_samples[place] != 0;
   }
   if (!is_open) {

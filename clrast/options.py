@@ -257,10 +257,15 @@ class RenderOptions:
         """What secondary rays walk through, bvh or grid; see AUTO_ACCELERATOR."""
         return AUTO_ACCELERATOR if self.accelerator == "auto" else self.accelerator
 
+    @property
+    def can_resume(self) -> bool:
+        """Whether another render can go on with this one's paths: not where what was found decides on samples."""
+        return not with_rate(parse_antialiasing("--aa", self.aa), self.shading_rate).threshold
+
     def check_together(self) -> None:
         """Raises UsageError where options do not go together; a render does it before anything else."""
         wanted = with_rate(parse_antialiasing("--aa", self.aa), self.shading_rate)
-        if self.resume is not None and wanted.threshold:
+        if self.resume is not None and not self.can_resume:
             name = "--aa auto" if wanted.kind == "auto" else "--shading-rate auto"
             raise UsageError(f"--resume: with {name} the samples depend on what was found before: use --aa ssaa:N")
         if self.resume is not None and self.repeat > 1:

@@ -34,6 +34,7 @@ from clrast.shading.rounds import rounds_of
 from clrast.visibility.sample_patterns import UNITS, Antialiasing, parse_antialiasing, scrambled
 
 MODES = ("msaa:2", "msaa:4", "msaa:16", "msaa:32", "csaa:4+12", "csaa:1+7", "csaa:2+3")
+CROWD = STRATA - 1
 ALL, FEW = "auto:1e-06", "auto:1"  # every surface that varies has too large an error; none has
 
 
@@ -51,7 +52,7 @@ def shown(device: Device, scene: clrast.Scene, x: int, y: int) -> tuple[np.ndarr
 
     Patterns begin alike: each place is rendered once for all.
     """
-    key = device.runtime, np.asarray(scene.colors).tobytes(), x, y
+    key = device.runtime, scene.positions.tobytes() + np.asarray(scene.colors).tobytes(), x, y
     if key not in SHOWN:
         frame = moved_render(device, scene, x, y)
         SHOWN[key] = np.asarray(frame["id.prim"]), colors_of(frame).astype(np.float64)
@@ -67,22 +68,36 @@ def strata_of(center: int, prims: np.ndarray) -> list[int]:
     """The surface of each sample, in the order in which they are met; the last takes what has no room."""
     known = [center]
     for prim in prims:
-        if prim not in known and len(known) < STRATA:
+        if prim not in known and len(known) < CROWD:
             known.append(prim)
-    return [known.index(prim) if prim in known else STRATA - 1 for prim in prims]
+    return [known.index(prim) if prim in known else CROWD for prim in prims]
 
 
-def shaded_samples(strata: list[int], most: int) -> list[list[int]]:
-    """Of each surface those that are shaded first, beside the centre: a quarter of `most`, and the first of each."""
+def shaded_samples(strata: list[int], most: int, error: float) -> list[list[int]]:
+    """Of each surface those that are shaded first, beside the centre, and of the crowd all.
+
+    A quarter of `most`; of each surface one, and two of `most` of those whose share of the pixel times half a quarter
+    is larger than `error`.
+    """
     found: list[list[int]] = [[] for _ in range(STRATA)]
-    for k, stratum in enumerate(strata):
-        if k < first_shaded(most) or (stratum != 0 and not found[stratum]):
-            found[stratum].append(k)
+    covered, lone = [0] * STRATA, len(strata) * error / (0.5 * 0.25)
+    for first in range(0, len(strata), 16):
+        met = strata[first : first + 16]
+        for stratum in dict.fromkeys(met):
+            own = [first + k for k, other in enumerate(met) if other == stratum]
+            covered[stratum] += len(own)
+            found[stratum] += [k for k in own if k < first_shaded(most) or stratum == CROWD]
+            for k in own:
+                known = len(found[stratum]) + (stratum == 0)
+                if k not in found[stratum] and (known == 0 or (known == 1 and covered[stratum] > lone and k < most)):
+                    found[stratum].append(k)
     return found
 
 
-def expected_colors(device: Device, scene: clrast.Scene, mode: str, shades_all: bool) -> tuple[np.ndarray, np.ndarray]:
-    """(SIDE, SIDE, 4) float64, and where pixels show more than one triangle.
+def expected_colors(
+    device: Device, scene: clrast.Scene, mode: str, shades_all: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(SIDE, SIDE, 4) float64, where pixels show more than one triangle, and the samples shaded beside the centre.
 
     shades_all : all `most` samples of the surfaces of a quad where two of one surface are known to differ.
     """
@@ -93,14 +108,14 @@ def expected_colors(device: Device, scene: clrast.Scene, mode: str, shades_all: 
     expected, edges = centers.copy(), (prims != center_prims).any(axis=0)
     varies = np.zeros((SIDE, SIDE), dtype=bool)
     strata = {at: strata_of(center_prims[at], prims[:, *at]) for at in np.ndindex(SIDE, SIDE)}
-    shaded = {at: shaded_samples(strata[at], most) for at in strata}
+    shaded = {at: shaded_samples(strata[at], most, 1e-6 if shades_all else 1.0) for at in strata}
 
     def known(at: tuple[int, int], stratum: int) -> np.ndarray:
         found = colors[shaded[at][stratum], *at]
         return np.concatenate([centers[at][None], found]) if stratum == 0 else found
 
     for at in strata:
-        varies[at] = any((known(at, k) != known(at, k)[:1]).any() for k in set(strata[at]))
+        varies[at] = any((known(at, k) != known(at, k)[:1]).any() for k in set(strata[at]) - {CROWD})
     for at in strata:
         corner = at[0] & ~1, at[1] & ~1
         if shades_all and varies[corner[0] : corner[0] + 2, corner[1] : corner[1] + 2].any():
@@ -109,7 +124,8 @@ def expected_colors(device: Device, scene: clrast.Scene, mode: str, shades_all: 
                     shaded[at][strata[at][k]].append(k)
         if edges[at] or shades_all:
             expected[at] = sum(known(at, k).mean(axis=0) / count for k in strata[at])
-    return expected, edges
+    counts = np.reshape([sum(len(found) for found in shaded[at]) for at in strata], (SIDE, SIDE))
+    return expected, edges, counts
 
 
 def varied_triangles() -> clrast.Scene:
@@ -123,14 +139,15 @@ def check_rate(device: Device, scene: clrast.Scene, mode: str, rate: str, error:
     """Colours at rate FEW or ALL, held to the reference and to what may be shaded, of edge pixels or of all."""
     most, count = counts_of(mode)
     frame = render(device, scene, orthographic(SIDE, SIDE), aov=("color",), aa=mode, shading_rate=rate)
-    expected, edges = expected_colors(device, scene, mode, shades_all=rate == ALL)
+    expected, edges, shaded = expected_colors(device, scene, mode, shades_all=rate == ALL)
     np.testing.assert_allclose(colors_of(frame), expected, rtol=0, atol=error)
-    counts, edge_count = frame.stats["other_counts"], np.count_nonzero(edges)
+    counts = frame.stats["other_counts"]
     if rate == FEW:
-        assert counts["edge_pixels"] == edge_count > SIDE
-    listed, each = (SIDE * SIDE, most) if rate == ALL else (edge_count, first_shaded(most))
-    firsts = 0 if rate == ALL and count == most else STRATA - 1  # that are none of the samples shaded in any case
-    assert counts["samples_shaded"] <= SIDE * SIDE + listed * (each + firsts)
+        assert counts["edge_pixels"] == np.count_nonzero(edges) > SIDE
+        assert counts["samples_shaded"] == SIDE * SIDE + shaded[edges].sum()
+    assert counts["samples_shaded"] <= SIDE * SIDE + shaded.sum()
+    if most == count:
+        assert shaded.max() <= most
     return colors_of(frame)
 
 
@@ -139,6 +156,59 @@ def check_rate(device: Device, scene: clrast.Scene, mode: str, rate: str, error:
 def test_rate_auto_shades_a_quarter_or_all_of_each_surface(device: Device, mode: str, rate: str) -> None:
     """A quarter with an error that all may have, all S where surfaces vary with one that none may have."""
     check_rate(device, varied_triangles(), mode, rate, 16 * U)
+
+
+def specks() -> clrast.Scene:
+    """Small triangles of one material and one colour each, and of many colours; in half of the pixels there are few."""
+    rng = np.random.default_rng(12)
+    centers = rng.uniform(0.0, SIDE, size=(3000, 2))
+    centers = centers[(centers[:, 0] < SIDE / 2) | (rng.uniform(size=3000) < 0.1)][:, None]
+    count = len(centers)
+    depths = np.repeat(rng.uniform(-2.0, -1.0, size=(count, 1, 1)), 3, axis=1)
+    corners = np.concatenate([centers + rng.uniform(-0.3, 0.3, size=(count, 3, 2)), depths], axis=2) * (1, -1, 1)
+    colors = [tuple(color) for color in rng.integers(0, 16, size=(count, 3)) / 16.0]
+    return make_scene(corners, materials=unlit(*colors), material_ids=np.arange(count, dtype=np.uint32))
+
+
+@pytest.mark.parametrize("rate", [FEW, ALL])
+@pytest.mark.parametrize("mode", ["msaa:16", "msaa:32", "csaa:4+12"])
+def test_all_samples_of_a_crowd_are_shaded(device: Device, mode: str, rate: str) -> None:
+    """Pixels of more surfaces than are kept apart show all that their samples show, nothing too."""
+    count = counts_of(mode)[1]
+    center_prims, _ = shown(device, specks(), *CENTER)
+    prims = np.stack([shown(device, specks(), x, y)[0] for x, y in scrambled(count).positions])
+    crowds = [CROWD in strata_of(center_prims[at], prims[:, *at]) for at in np.ndindex(SIDE, SIDE)]
+    assert 0.1 < np.mean(crowds) < 0.9 and (prims == NO_HIT).any()
+    found = check_rate(device, specks(), mode, rate, 32 * U)
+    samples = np.stack([shown(device, specks(), x, y)[1] for x, y in scrambled(count).positions])
+    np.testing.assert_allclose(found[..., 3], samples[..., 3].mean(axis=0), rtol=0, atol=32 * U)
+
+
+def test_auto_shows_what_all_samples_do_in_crowds() -> None:
+    """Surfaces of one colour: with an error that none may have what 256 plain renders show."""
+    device, scene = open_first_device(), specks()
+    positions = scrambled(256).positions
+    samples = np.stack([colors_of(moved_render(device, scene, x, y)).astype(np.float64) for x, y in positions])
+    frame = render(device, scene, orthographic(SIDE, SIDE), aov=("color",), aa="auto:1e-06")
+    edges = (samples[:16] != samples[0]).any(axis=(0, 3))  # else nothing tells that there is more than they show
+    assert edges.mean() > 0.5
+    np.testing.assert_allclose(colors_of(frame)[edges], samples.mean(axis=0)[edges], rtol=0, atol=256 * U)
+
+
+@pytest.mark.parametrize(("mode", "rate"), [("auto:0.002", "pixel"), ("msaa:32", "auto:0.002")])
+def test_a_small_surface_shades_enough_of_its_samples(mode: str, rate: str) -> None:
+    """A square with a ramp over a quarter of each pixel: one sample alone does not tell that it varies."""
+    device, corners, shades = open_first_device(), [], []
+    for x, y in np.ndindex(SIDE, SIDE):
+        for u, v in ((0, 0), (1, 0), (1, 1), (0, 0), (1, 1), (0, 1)):
+            corners.append((x + 0.5 * u, -y - 0.5 * v, -2.0))
+            shades.append((8.0 * u, 0.5, 0.25, 1.0))
+    colors = np.array(shades, dtype=np.float32)
+    scene = make_scene(corners, materials=unlit((1.0, 1.0, 1.0)), colors=colors)
+    given = {"aov": ("color",), "aa": mode, "shading_rate": rate}
+    frame = render(device, scene, orthographic(SIDE, SIDE), **given)
+    np.testing.assert_allclose(frame["A"], 0.25, rtol=0, atol=2 / 32)
+    np.testing.assert_allclose(frame["R"], 4.0 * frame["A"], rtol=0.1)
 
 
 def test_rate_auto_leaves_flat_colours_alone(device: Device) -> None:
@@ -226,6 +296,16 @@ def test_samples_that_do_not_count_take_no_pass(mode: str, count: int) -> None:
     counts = render(device, some_triangles(), orthographic(SIDE, SIDE), **given).stats["counts"]
     assert counts["passes"] == 1 + count
     assert counts["samples"] == counts["passes"] * SIDE * SIDE
+
+
+@pytest.mark.parametrize("mode", ["msaa:4", "csaa:3+4", "msaa:16"])
+def test_as_many_samples_are_decided_by_lanes_as_by_passes(mode: str) -> None:
+    """Vectors take 16 samples of a pixel at once: those that a pattern does not have are none."""
+    device, given = open_first_device(), {"aov": ("color",), "method": "3dr-binning", "aa": mode, "shading_rate": FEW}
+    frames = [render(device, some_triangles(), orthographic(SIDE, SIDE), vector_width=w, **given) for w in (1, 8)]
+    counts = [frame.stats["counts"] for frame in frames]
+    assert counts[0]["samples"] == counts[1]["samples"] == (1 + counts_of(mode)[1]) * SIDE * SIDE
+    assert counts[0]["passes"] > counts[1]["passes"]
 
 
 def test_lanes_beyond_a_pattern_decide_nothing() -> None:

@@ -106,6 +106,22 @@ def test_a_spent_budget_leaves_a_complete_image(card: Path, tmp_path: Path, caps
     assert main([*arguments, "--time-budget", "1000"]) == 0
 
 
+@pytest.mark.parametrize(
+    ("given", "mend"),
+    [([], "--resume FILE goes on"), (["--aa", "msaa:2"], "--resume FILE goes on"), (["--aa", "auto:0.1"], "more time"),
+     (["--aa", "msaa:2", "--shading-rate", "auto"], "more time")],
+)  # fmt: skip
+def test_what_a_spent_budget_advises_is_what_may_be_done(
+    card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], given: list[str], mend: str
+) -> None:
+    arguments = ["render", str(card), "--mode", "path", "--size", "24x16", "--samples", "9", "-q", *given]
+    arguments += ["-o", str(tmp_path / "x.exr")]
+    assert main([*arguments, "--time-budget", "1e-6"]) == 75
+    assert mend in capsys.readouterr().err
+    resumes = main([*arguments, "--resume", str(tmp_path / "sums.npz")]) == 0
+    assert resumes == ("goes on" in mend)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX systems")
 def test_an_interruption_leaves_a_complete_image(card: Path, tmp_path: Path) -> None:
     out, sums = tmp_path / "x.exr", tmp_path / "sums.npz"

@@ -36,7 +36,10 @@ LIST_OPTIONS = ("aov", "effects", "oracle")
 
 @dataclass
 class Job:
-    """One call of `render`, checked. `given` : options of RenderOptions that were given; times in seconds."""
+    """One call of `render`, checked. `given` : options of RenderOptions that were given; times in seconds.
+
+    can_resume : whether --resume goes with all options, those of the scene's card too.
+    """
 
     source: str
     given: dict[str, Any]
@@ -47,6 +50,7 @@ class Job:
     json: bool = False
     quiet: bool = False
     times_ms: dict[str, float] = field(default_factory=dict)
+    can_resume: bool = True
 
     @property
     def is_timed(self) -> bool:
@@ -135,7 +139,8 @@ def _exit_code(stats: Mapping[str, Any], watch: Watch, job: Job) -> int:
     if stats.get("stopped") is None:
         return EXIT_OK
     budget = job.given.get("time_budget")
-    messages.error(f"--time-budget {budget} is reached: the image has fewer paths than wanted: --resume FILE goes on")
+    mend = "--resume FILE goes on" if job.can_resume else "give it more time, or use --aa ssaa:N with --resume FILE"
+    messages.error(f"--time-budget {budget} is reached: the image has fewer paths than wanted: {mend}")
     return EXIT_BUDGET
 
 
@@ -202,6 +207,7 @@ def _render_and_write(job: Job, watch: Watch) -> dict[str, Any]:
             messages.warn(line)
         show(f"rendering {scene.triangle_count} triangles")
         watch.observer = path_observer(show)
+        job.can_resume = request.options.can_resume
         frame, exr_frame = _render(scene, request, job, watch)
         show("writing")
         stats = _write(frame, exr_frame, request, job)

@@ -202,8 +202,8 @@ HAS_LIGHT_RAY = 1
 HAS_OWN_LIGHT = 2
 """Bits of what light an item of a path may bring: shade_paths.cl."""
 
-STRATA = 4
-"""Surfaces of a pixel whose samples auto keeps apart; the last one takes what the others do not."""
+STRATA = 8
+"""Surfaces of a pixel whose samples auto keeps apart, and the crowd of all others: 3 bits say which a sample is of."""
 
 VISIT_SAMPLES = 16
 """Samples of a pixel that are judged together where pixels are listed: 2 vectors of 8 lanes, or one of 16."""

@@ -27,7 +27,7 @@ from clrast.visibility.sample_passes import SamplePasses
 from clrast.visibility.sample_patterns import Position
 
 SUMS_BYTES = 2 * 16 * STRATA
-STATE_BYTES = SUMS_BYTES + 10 * STRATA + 1
+STATE_BYTES = SUMS_BYTES + 12 * STRATA + 1
 """Device bytes of what is known of a listed pixel's strata."""
 
 TYPICAL_SHADED = 6
@@ -117,7 +117,7 @@ class StratifiedSampler:
         while count:
             self._band = {"count": count, "pixels": self.edges.room(lists[0]), "slots": self.edges.room(lists[1])}
             for part in self._parts_of(round_number):
-                self._visit(passes, part, round_number == 0, pixel_count, target)
+                self._visit(passes, part, round_number, pixel_count, target)
             width = int(passes.tiles.view["width"])
             judge = partial(self._judge, round_number, lists, pixel_count, width, target)
             lists, count = passes.timed("resolve", judge)
@@ -143,7 +143,7 @@ class StratifiedSampler:
         buffers.fill(self.device, self._deviations, np.float32(-1.0), 4 * pixel_count)
         for name, size in (
             ("sums", SUMS_BYTES), ("stratum_prims", 4 * STRATA), ("stratum_counts", 4 * STRATA),
-            ("stratum_firsts", 2 * STRATA), ("open", 1), ("chosen_counts", 1), ("first_shaded", 4), ("keep", 1),
+            ("stratum_firsts", 4 * STRATA), ("open", 1), ("chosen_counts", 1), ("first_shaded", 4), ("keep", 1),
         ):  # fmt: skip
             self.edges.room(name, size * count)
         return count
@@ -169,7 +169,8 @@ class StratifiedSampler:
         lanes = [visit.shaded if self._layers is not None and not visit.is_new else visit.lanes for visit in part]
         for visit, looked_at in zip(part, lanes, strict=True):
             entry = VISIT_SAMPLES * later.index(visit.number) if visit.number in later else NO_HIT
-            rows.append((entry, looked_at, visit.shaded, VISIT_SAMPLES * visit.number << 1 | int(visit.is_new)))
+            counted = looked_at | visit.seconds << VISIT_SAMPLES
+            rows.append((entry, counted, visit.shaded, VISIT_SAMPLES * visit.number << 1 | int(visit.is_new)))
             positions += self.rounds.positions[VISIT_SAMPLES * visit.number : VISIT_SAMPLES * (visit.number + 1)]
         packed = np.array([x | y << 16 for x, y in positions], dtype=np.uint32)
         later_lanes = [bits for visit, bits in zip(part, lanes, strict=True) if visit.number in later]
@@ -181,7 +182,7 @@ class StratifiedSampler:
         }  # fmt: skip
 
     def _visit(
-        self, passes: SamplePasses, part: dict[str, Any], begins: bool, pixel_count: int, target: Shader
+        self, passes: SamplePasses, part: dict[str, Any], round_number: int, pixel_count: int, target: Shader
     ) -> None:
         """Find what samples of the listed pixels show, shade those that are called for, and sum them."""
         view, count = passes.tiles.view, self._band["count"]
@@ -192,7 +193,7 @@ class StratifiedSampler:
         else:
             self._layers.start(pixel_count, self._band["pixels"], count)
             self._layers.decide(passes, positions_of(part, part["later_lanes"]), self._entries(part))
-        listed = passes.timed("resolve", partial(self._choose, view, part, begins))
+        listed = passes.timed("resolve", partial(self._choose, view, part, round_number))
         if not listed:
             return
         shaded = self.edges.room("shaded_prims"), listed, 0, self.edges.room("places")
@@ -202,8 +203,9 @@ class StratifiedSampler:
         self._count("samples_shaded", listed)
         self._launch(
             self._judging, "gather_strata", count, **self._band, pixel_count=pixel_count, listed_count=listed,
-            visit_count=part["visit_count"], begins=int(begins), colors=self.shader.values, values=target.values,
-            deviations=self._deviations, **self._rooms("chosen", "stratum_counts", "first_shaded", "sums"),
+            visit_count=part["visit_count"], begins=int(round_number == 0), colors=self.shader.values,
+            values=target.values, deviations=self._deviations,
+            **self._rooms("chosen", "stratum_counts", "first_shaded", "sums"),
         )  # fmt: skip
 
     def _entries(self, part: dict[str, Any]) -> dict[str, Any]:
@@ -230,17 +232,18 @@ class StratifiedSampler:
 
     def _shaded_samples(self, part: dict[str, Any]) -> dict[int, Position]:
         """The samples of a part that are shaded in any pixel. Waits."""
-        shape = self._band["count"], part["visit_count"], 2
-        chosen = buffers.download(self.device, self.edges.room("chosen"), np.uint32, shape)[..., 0]
+        shape = self._band["count"], part["visit_count"], 4
+        chosen = buffers.download(self.device, self.edges.room("chosen"), np.uint16, shape)[..., 0]
         return positions_of(part, np.bitwise_or.reduce(chosen, axis=0).tolist())
 
-    def _choose(self, view: np.ndarray, part: dict[str, Any], begins: bool) -> int:
+    def _choose(self, view: np.ndarray, part: dict[str, Any], round_number: int) -> int:
         """List the samples that are to be shaded; returns their number. Waits."""
         count = self._band["count"]
         chosen = self.edges.room("chosen", 8 * part["visit_count"] * count)
         self._launch(
             self._strata, "meet_strata", count, **self._band, **self._samples_of(part), **self._ground(view),
-            chosen=chosen, begins=int(begins), uses_center=int(self.rounds.uses_center),
+            chosen=chosen, begins=int(round_number == 0), lone_samples=self.rounds.lone_samples(round_number),
+            uses_center=int(self.rounds.uses_center),
             **self._rooms("open", "stratum_prims", "stratum_counts", "stratum_firsts", "chosen_counts"),
         )  # fmt: skip
         listed = self.edges.sum_entries(self.edges.room("chosen_counts"), count)

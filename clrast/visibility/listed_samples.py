@@ -66,7 +66,7 @@ class ListedSamples:
         if isinstance(passes.tiles, TileRasterizer) and passes.tiles.takes_samples:
             passes.timed("visibility", partial(self._decide_lanes, passes.tiles, wanted, places, found))
             passes.visits += len(visits)
-            passes.listed += count * len(wanted)
+            passes.listed += count * (len(wanted) if lanes is None else sum(bits.bit_count() for bits in lanes))
             return
         center, differs, prims = found
         for k, position in enumerate(wanted):
