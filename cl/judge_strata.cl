@@ -59,6 +59,7 @@ kernel void gather_strata(
   float freedom = 0.0f;
   for (uint k = 0; k < STRATA; ++k) {
     const uint shaded = stratum_counts[STRATA * slot + k] >> 16;
+    if (!shaded) continue;
     if (!begins && shaded != found[k]) {
       sum[k] += sums[2 * STRATA * slot + SUM_OF(k)];
       squares[k] += sums[2 * STRATA * slot + SQUARES_OF(k)];

@@ -51,11 +51,13 @@ static inline Strata load_strata(size_t slot, global const uint *restrict prims,
   s.count = 0;
   for (uint k = 0; k < STRATA; ++k) {
     const uint both = counts[STRATA * slot + k];
-    s.prims[k] = prims[STRATA * slot + k];
     s.covered[k] = both & 0xffffu;
     s.shaded[k] = both >> 16;
+    s.firsts[k] = NO_FIRSTS;
+    if (!s.shaded[k] || k == CROWD) continue;  // each is shaded when it is found
+    s.prims[k] = prims[STRATA * slot + k];
     s.firsts[k] = firsts[STRATA * slot + k];
-    if (s.shaded[k] && k != CROWD) s.count = k + 1;  // each is shaded when it is found
+    s.count = k + 1;
   }
   return s;
 }
@@ -228,8 +230,9 @@ kernel void meet_strata(
     chosen[item * (size_t)visit_count + visit] = marked;
   }
   for (uint k = 0; k < STRATA; ++k) {
-    stratum_prims[STRATA * slot + k] = k < s.count ? s.prims[k] : NO_HIT;
     stratum_counts[STRATA * slot + k] = s.covered[k] | s.shaded[k] << 16;
+    if (k >= s.count) continue;
+    stratum_prims[STRATA * slot + k] = s.prims[k];
     stratum_firsts[STRATA * slot + k] = s.firsts[k];
   }
   chosen_counts[item] = chosen_count;

@@ -202,7 +202,7 @@ HAS_LIGHT_RAY = 1
 HAS_OWN_LIGHT = 2
 """Bits of what light an item of a path may bring: shade_paths.cl."""
 
-STRATA = 8
+STRATA = 6
 """Surfaces of a pixel whose samples auto keeps apart, and the crowd of all others: 3 bits say which a sample is of."""
 
 VISIT_SAMPLES = 16

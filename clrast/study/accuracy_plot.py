@@ -7,6 +7,7 @@ zero cannot stand on a logarithmic axis: it stands on the lowest line, which say
 from __future__ import annotations
 
 import io
+import math
 from typing import TYPE_CHECKING
 
 from clrast.study.accuracy import Accuracy, Row
@@ -29,6 +30,9 @@ STYLES = {
 """Knob -> colour (of Okabe and Ito's set, which colour-blind people tell apart) and matplotlib's mark."""
 OTHERS = (("#cc79a7", "P"), ("#e69f00", "X"), ("#7f6000", "<"), ("#6a3d9a", ">"))
 """Of knobs that have no colour of their own, in the order of the table."""
+
+NAME_SIZE, NAME_HEIGHT = 7.0, 8.5
+"""Of the names at points, and of a line of them, points."""
 
 
 def style_of(study: Accuracy, knob: str) -> tuple[str, str]:
@@ -76,8 +80,6 @@ def make_figure(study: Accuracy) -> Figure:
     steps_x = [row.median_ms / 1000 for row in front]
     steps_y = [max(study.error(row), floor) for row in front]
     axes.step(steps_x, steps_y, where="post", color="0.35", linewidth=0.9, zorder=1.5, label="Pareto front")
-    for k, (row, x, y) in enumerate(zip(front, steps_x, steps_y, strict=True)):
-        axes.annotate(row.name, (x, y), xytext=(5, 5 + 9 * (k % 2)), textcoords="offset points", fontsize=7)
     if any(study.error(row) == 0 for row in study.rows):
         axes.axhline(floor, color="0.6", linewidth=0.6, linestyle=":")
         axes.annotate("no error", (0.01, floor), xycoords=("axes fraction", "data"), fontsize=7, va="bottom")
@@ -87,7 +89,22 @@ def make_figure(study: Accuracy) -> Figure:
     axes.set_title(f"{study.scene}: {study.triangle_count:,} triangles at {width}x{height}, {study.device}", fontsize=9)
     axes.legend(fontsize=7, frameon=False, loc="upper right")
     axes.margins(0.1)
+    figure.draw_without_rendering()  # where points stand is known from now on
+    _name_points(axes, [row.name for row in front], list(zip(steps_x, steps_y, strict=True)))
     return figure
+
+
+def _name_points(axes: Axes, names: list[str], points: list[tuple[float, float]]) -> None:
+    """Names below the front's points to the left, fastest first: nothing else is there. None covers another."""
+    last_y = math.inf
+    for name, point in zip(names, points, strict=True):
+        y = float(axes.transData.transform(point)[1]) * 72 / DOTS_PER_INCH
+        last_y = min(y, last_y) - NAME_HEIGHT
+        axes.annotate(
+            name, point, xytext=(-7, last_y - y), textcoords="offset points", fontsize=NAME_SIZE,
+            ha="right", va="center",
+            arrowprops={"arrowstyle": "-", "color": "0.6", "linewidth": 0.5, "shrinkA": 0, "shrinkB": 3},
+        )  # fmt: skip
 
 
 def _draw_knob(axes: Axes, study: Accuracy, knob: str, rows: list[Row], floor: float) -> None:
