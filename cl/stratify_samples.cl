@@ -17,7 +17,8 @@
 // msaa and csaa with shading rate auto end with the samples that they have: rounds of S/4 and of S shaded ones of the same N,
 // in which the colour of the centre counts as that of one sample of its surface, and shares count for no error (rounds.py).
 // Deviations of few samples are uncertain: half of one is that of the listed pixels of its quad. Lists are made by prefix sums.
-// Good at: few surfaces a pixel. Bad at: pixels of more than STRATA - 1 of them, which cost what all samples cost.
+// Good at: few surfaces a pixel. Bad at: pixels of more than STRATA - 1 of them, which cost what all samples cost; what varies
+// within a surface where its first shaded samples agree, as a thin shadow may, is never seen.
 // Tests: tests/test_antialiasing.py, tests/test_shading_rate.py.
 
 #include "vector.clh"
