@@ -48,13 +48,11 @@ static inline Strata no_strata() {
 
 static inline Strata load_strata(size_t slot, global const uint *restrict prims, global const uint *restrict counts,
                                  global const uint *restrict firsts) {
-  Strata s;
-  s.count = 0;
+  Strata s = no_strata();
   for (uint k = 0; k < STRATA; ++k) {
     const uint both = counts[STRATA * slot + k];
     s.covered[k] = both & 0xffffu;
     s.shaded[k] = both >> 16;
-    s.firsts[k] = NO_FIRSTS;
     if (!s.shaded[k] || k == CROWD) continue;  // each is shaded when it is found
     s.prims[k] = prims[STRATA * slot + k];
     s.firsts[k] = firsts[STRATA * slot + k];

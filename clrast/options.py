@@ -30,7 +30,7 @@ from clrast.quality import PRESETS, with_preset
 from clrast.visibility.methods import AUTO, SNAPPED_METHODS, resolve_method
 from clrast.visibility.methods import METHODS as METHOD_TABLE
 from clrast.visibility.oracles import parse_oracle
-from clrast.visibility.sample_patterns import FILTERS, parse_antialiasing, parse_shading_rate, with_rate
+from clrast.visibility.sample_patterns import FILTERS, Antialiasing, parse_antialiasing, parse_shading_rate, with_rate
 
 PRECISIONS = ("fast", "ordered", "midpoint", "double", "fixed", "exact")
 AVAILABLE_PRECISIONS = PRECISIONS
@@ -258,13 +258,18 @@ class RenderOptions:
         return AUTO_ACCELERATOR if self.accelerator == "auto" else self.accelerator
 
     @property
+    def antialiasing(self) -> Antialiasing:
+        """What --aa and --shading-rate ask for."""
+        return with_rate(parse_antialiasing("--aa", self.aa), self.shading_rate)
+
+    @property
     def can_resume(self) -> bool:
         """Whether another render can go on with this one's paths: not where what was found decides on samples."""
-        return not with_rate(parse_antialiasing("--aa", self.aa), self.shading_rate).threshold
+        return not self.antialiasing.threshold
 
     def check_together(self) -> None:
         """Raises UsageError where options do not go together; a render does it before anything else."""
-        wanted = with_rate(parse_antialiasing("--aa", self.aa), self.shading_rate)
+        wanted = self.antialiasing
         if self.resume is not None and not self.can_resume:
             name = "--aa auto" if wanted.kind == "auto" else "--shading-rate auto"
             raise UsageError(f"--resume: with {name} the samples depend on what was found before: use --aa ssaa:N")

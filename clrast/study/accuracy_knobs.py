@@ -13,7 +13,6 @@ from typing import Any
 
 from clrast.errors import UsageError
 from clrast.options import OPTION_NAMES, RenderOptions
-from clrast.visibility.sample_patterns import parse_antialiasing, with_rate
 
 Changes = Mapping[str, Any]
 """Options of a render by name, which take the place of the scene's own; effects, a mapping, only of those named."""
@@ -177,7 +176,7 @@ def _resolved(options: RenderOptions) -> RenderOptions:
 
 def sample_count(options: RenderOptions) -> int:
     """Samples of a pixel that are shaded each by itself; in mode `path` the paths of all of them."""
-    wanted = with_rate(parse_antialiasing("--aa", options.aa), options.shading_rate)
+    wanted = options.antialiasing
     samples = wanted.depth_count if wanted.kind == "ssaa" or wanted.threshold else 1
     return samples * options.path_count if options.mode == PATH else samples
 

@@ -63,14 +63,15 @@ class ListedSamples:
         found: tuple[cl.Buffer, cl.Buffer, cl.Buffer], places: cl.Buffer | None, pixels: cl.Buffer | None,
     ) -> None:  # fmt: skip
         wanted = [self.positions[VISIT_SAMPLES * visit + k] for visit in visits for k in range(VISIT_SAMPLES)]
+        masks = [(1 << VISIT_SAMPLES) - 1] * len(visits) if lanes is None else lanes
         if isinstance(passes.tiles, TileRasterizer) and passes.tiles.takes_samples:
             passes.timed("visibility", partial(self._decide_lanes, passes.tiles, wanted, places, found))
             passes.visits += len(visits)
-            passes.listed += count * (len(wanted) if lanes is None else sum(bits.bit_count() for bits in lanes))
+            passes.listed += count * sum(mask.bit_count() for mask in masks)
             return
         center, differs, prims = found
         for k, position in enumerate(wanted):
-            if lanes is not None and not lanes[k // VISIT_SAMPLES] >> k % VISIT_SAMPLES & 1:
+            if not masks[k // VISIT_SAMPLES] >> k % VISIT_SAMPLES & 1:
                 continue
             passes.decide((position,))
             self._program.launch(
